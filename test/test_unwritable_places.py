@@ -7,15 +7,7 @@ import pytest
 NOWHERE = "/proc/galen/new"  # for root, too
 COMMANDS = {
     "galen_bags.convert": ("IN.csv", "-o", NOWHERE),
-    "galen_deflection.evaluate": (
-        "IN",
-        "--tool",
-        "IN",
-        "--model",
-        "IN",
-        "--plots",
-        NOWHERE,
-    ),
+    "galen_deflection.evaluate": ("IN", "--tool", "IN", "--model", "IN", "--plots", NOWHERE),
     "galen_deflection.train": ("IN", "--tool", "IN", "--kind", "joint_stiffness", "-o", NOWHERE),
     "galen_diagnosis.diagnose": ("IN", "--output", NOWHERE),
     "galen_diagnosis.diagnose --next": ("IN", "--next", NOWHERE),

@@ -9,12 +9,11 @@ from galen_bags.formats.writer import BagWriter
 from galen_calibration_behavior.calibration.procedure import CalibrationRequest
 from galen_calibration_behavior.commands import CalibrationState
 from galen_calibration_behavior.parameters import CalibrationParameters
-from galen_model.arm.galen import HOME
 from galen_model.load.identification import identify_two_sweeps
 from galen_model.load.model import Load, nominal_reading
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from galen_sim_driver.plant.cell import Plant
-from galen_sim_driver.plant.config import HandPush, PlantConfig
+from galen_sim_driver.plant.config import PlantConfig
 from offline_cell import CellBag, OfflineCalibrationError, OfflineCell
 
 PARAMETERS = CalibrationParameters(settle_s=0.1, average_s=0.3)
@@ -74,29 +73,6 @@ def test_every_sample_reaches_every_listener_once_and_in_order():
 def test_a_calibration_that_fails_says_why(changes, message):
     with pytest.raises(OfflineCalibrationError, match=message):
         calibrate(cell(), **changes)
-
-
-def test_the_hand_plays_its_script_to_the_end():
-    wrenches = []
-    offline = cell(
-        lambda sample: wrenches.append(sample.wrench),
-        hand=(HandPush(0.2, 1.0, force_n=(0.0, 0.0, 5.0)),),
-    )
-    offline.play_hand()
-    pushed = np.array(wrenches)
-    # at home the sensor's x points down
-    assert pushed[:, 0].min() == pytest.approx(-5.0, abs=0.1)
-    assert abs(pushed[0, 0]) < 0.1
-    assert len(pushed) == pytest.approx(120, abs=2)
-
-
-def test_a_move_goes_from_rest_to_rest():
-    offline = cell()
-    target = HOME + np.array([0.0, 0.0, 0.0, 0.3, -0.2])
-    offline.move_to(target, 1.0)
-    offline.run(1.1)
-    assert not offline.plant.moving
-    assert offline.step().true_joints == pytest.approx(target.tolist())
 
 
 @pytest.mark.parametrize("tool", ["", "retractor"])

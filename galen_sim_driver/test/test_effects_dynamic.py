@@ -186,7 +186,7 @@ def test_the_fraction_is_left_after_the_largest_push_on_its_side(form, side):
     )
 
 
-def test_the_tips_state_solves_its_equation_and_its_loops_area_is_the_integral():
+def test_the_tips_state_solves_its_equation():
     knee, fraction = 0.3, 0.1
     load = pushes([0.0, 8.0, -10.0, 5.0, -2.0, 0.0], samples=4000)
     given = loading(HOME, load)
@@ -199,29 +199,8 @@ def test_the_tips_state_solves_its_equation_and_its_loops_area_is_the_integral()
         middle = z[k] + 0.5 * (step - abs(step) * z[k]) / knee
         z[k + 1] = z[k] + (step - abs(step) * middle) / knee
     a = 1.0 - np.exp(-1.0 / knee)
-    sizes = {side: fraction / (a**2 + side * fraction * a) for side in (1.0, -1.0)}
-    c = sizes[1.0]
+    c = fraction / (a**2 + fraction * a)
     assert np.abs(found + c * peak * z).max() < 1e-5 * peak
-    # A closed cycle between +-F_1 of a saturated state takes work: the integral of F d(bent).
-    cycle = pushes([0.0, 10.0, -10.0, 10.0, -10.0, 10.0], samples=4000)
-    given = loading(HOME, cycle)
-    work = {}
-    for side in (1.0, -1.0):
-        effect = replace(effect, side=side)
-        bent = given.elastic + effect.fresh().deflect(instants(len(cycle)), given)
-        last = slice(12000, None)
-        work[side] = np.trapezoid(cycle[last], bent[last, 1])
-    e1, f1 = np.abs(given.elastic[:, 1]).max(), 10.0
-    q = np.exp(-2.0 / knee)
-    # z = s (1 - (1 + z_1) exp(-x / knee)) with z_1 = (1 - q) / (1 + q), x from 0 to 2; the area of
-    # the loop is 2 c integral over x of (f1 - f1 x)(...)' = -2 c f1 int (x - 1) dz.
-    z1 = (1.0 - q) / (1.0 + q)
-    x = np.linspace(0.0, 2.0, 20001)
-    up = 1.0 - (1.0 + z1) * np.exp(-x / knee)
-    area = -2.0 * c * e1 * f1 * np.trapezoid(x - 1.0, up)
-    assert work[1.0] == pytest.approx(area, rel=1e-4)
-    assert work[1.0] / sizes[1.0] == pytest.approx(-work[-1.0] / sizes[-1.0], rel=1e-9)
-    assert area > 0.0
 
 
 @pytest.mark.parametrize("form", ["tip", "joints"])
@@ -278,14 +257,6 @@ def test_a_joint_with_play_lags_by_half_its_gap_after_each_reversal():
     # It stays while the joint goes through the gap.
     step = 0.3 / 1000.0
     assert np.ptp(true[1000 : 1000 + int(gap / (0.5 / 1000.0)), 4]) < step
-    # A loop of true over reported has the area of a parallelogram, gap times stroke.
-    loop = np.tile(HOME, (6001, 1))
-    loop[:, 4] = pushes([0.0, 0.2, -0.2, 0.2], samples=2000)
-    path = effect.fresh().true_joints(instants(6001), loop)[:, 4]
-    there = path[2000:4001], loop[2000:4001, 4]
-    back = path[4000:], loop[4000:, 4]
-    area = np.trapezoid(*there) + np.trapezoid(*back)
-    assert abs(area) == pytest.approx(gap * (0.4 - gap), rel=1e-3)
     # One at a time is the same.
     one = effect.fresh()
     again = [one.true_joints(instants(1), row[None])[0, 4] for row in joints]

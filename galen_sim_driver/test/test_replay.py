@@ -11,7 +11,6 @@ from galen_model.arm.pinocchio_arm import PinocchioArm
 from galen_model.errors import GalenError
 from galen_model.load.model import Load, gravity_wrench, nominal_reading
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
-from galen_sim_driver.effects.effect import Instants
 from galen_sim_driver.effects.joints import (
     BaseInclination,
     JointAxisMisalignment,
@@ -349,15 +348,3 @@ def test_bad_numbers_are_named(name, parameters, words):
 )
 def test_reads_the_names_from_before_effects_had_joints(name, parameters, effect):
     assert effect_from(name, parameters) == effect
-
-
-def test_a_drift_of_a_shape_keeps_it_when_its_mean_changes():
-    drift = SensorDrift.through(KNOTS, LEVELS)
-    mean = (LEVELS[-1] - LEVELS[0]) / 3.0 * 3600.0
-    assert np.allclose(drift.rate_per_hour, mean)
-    other = drift.with_vector(mean + RATE)
-    assert np.allclose(other.rate_per_hour, mean + RATE)
-    when = Instants("motion", KNOTS - START_S, KNOTS)
-    zero = np.zeros((3, 6))
-    added = other.read(when, zero) - drift.read(when, zero)
-    assert np.allclose(added, np.outer(KNOTS - START_S, RATE) / 3600.0)

@@ -64,30 +64,6 @@ def test_the_friction_solves_dahls_equation(ratio):
     assert 0.1 < np.ptp(phi) < 2.0
 
 
-def test_a_load_in_one_step_or_in_thousands_is_the_same():
-    one, many = (DahlFriction(0.2, np.array([2.0, 0.5])) for _ in range(2))
-    for turn in ([3.0, -1.0], [-2.0, 0.1], [0.0, 0.0]):
-        start = many.at
-        one.load(np.array(turn))
-        for part in np.linspace(0.0, 1.0, 3001)[1:]:
-            many.load(start + part * (turn - start))
-        assert np.abs(one.friction - many.friction).max() < 1e-10
-    assert np.abs(one.friction).min() > 0.01
-
-
-def test_a_load_that_stays_changes_nothing_and_a_huge_one_only_slides():
-    joint = DahlFriction(0.2, np.array([2.0]))
-    joint.load(np.array([1.0]))
-    kept = joint.friction[0]
-    for _ in range(100):
-        joint.load(np.array([1.0]))
-    assert joint.friction[0] == kept > 0.0
-    joint.load(np.array([1e6]))
-    assert joint.friction[0] == pytest.approx(2.0, rel=1e-12)
-    joint.load(np.array([-1e6]))
-    assert joint.friction[0] == pytest.approx(-2.0, rel=1e-12)
-
-
 def test_a_loop_keeps_the_energy_that_the_law_takes():
     # In a steady loop between -Y and Y friction runs between -tanh(Y) and tanh(Y) F_c, and keeps
     # the integral of F over x: 4 (F_c^2 / sigma) (Y - tanh(Y)). Here F_c and k are 1.

@@ -162,21 +162,6 @@ def test_every_number_of_an_effect_is_a_parameter_of_the_driver(name):
             assert meaning.maximum is None or p.upper <= meaning.maximum
 
 
-def test_names_of_parameters():
-    wanted = {
-        ("joint_zero_offset:roll", "offset_rad"): "joint_zero_offset_roll_rad",
-        ("joint_gain:tilt", "gain"): "joint_gain_tilt",
-        ("joint_compliance", "roll"): "joint_compliance_stiffness_roll",
-        ("crosstalk", "from_axis"): "crosstalk_from",
-        ("bias_step", "time_s"): "bias_step_time_s",
-        ("bias_step", "step"): "bias_step",
-        ("tool_mass_error", "delta_kg"): "tool_mass_error_delta_kg",
-        ("sensor_drift", "rate_per_hour"): "sensor_drift_rate_per_hour",
-        ("loose_tool", "shift_m"): "loose_tool_shift_m",
-    }
-    assert {key: parameter_name(IDENTITIES[key[0]], key[1]) for key in wanted} == wanted
-
-
 def test_effects_become_a_parameter_file():
     step = BiasStep(2.0, (0.1,) * 6, "push")
     effects = [

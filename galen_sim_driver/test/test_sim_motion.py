@@ -1,10 +1,9 @@
 """Limits hold at every step, references are followed, targets are reached exactly."""
 
 import numpy as np
-import pytest
 from galen_model.arm.galen import HOME, LIMITS
 from galen_sim_driver.plant import config
-from galen_sim_driver.plant.motion import LimitedMotion, braking_velocity, stopping_distance
+from galen_sim_driver.plant.motion import LimitedMotion, stopping_distance
 
 PERIOD_S = 0.002
 VELOCITY, ACCELERATION = np.array(config.VELOCITY), np.array(config.ACCELERATION)
@@ -66,30 +65,6 @@ def test_any_reference_keeps_the_limits():
     positions, velocities = follow(targets)
     assert_limits(positions, velocities)
     assert positions.max(axis=0)[3] > 1.0  # it did go somewhere
-
-
-def test_a_reference_that_runs_into_a_limit_ends_on_it():
-    time_s = np.arange(1, 3001) * PERIOD_S
-    targets = HOME + np.outer(time_s, [0.15, 0.0, 0.0, -1.2, 0.0])
-    positions, velocities = follow(targets)
-    assert_limits(positions, velocities)
-    assert positions[-1, 0] == LIMITS.upper[0]
-    assert positions[-1, 3] == LIMITS.lower[3]
-    assert not velocities[-1].any()
-
-
-def test_braking_velocity_stops_where_it_should():
-    u, period_s = 0.002, 0.002
-    for distance in (1e-9, 3.9e-6, 4e-6, 1.2e-5, 1e-4, 0.0123):
-        velocity = braking_velocity(distance, u, period_s)
-        covered, steps, v = 0.0, 0, velocity
-        while v > 1e-15:
-            covered += v * period_s
-            v -= u
-            steps += 1
-        assert covered == pytest.approx(distance, rel=1e-9)
-        assert period_s * u * steps * (steps - 1) / 2 < distance * (1 + 1e-9)
-    assert braking_velocity(0.0, u, period_s) == 0.0
 
 
 def test_stopping_distance_agrees_with_braking():

@@ -13,7 +13,7 @@ of `mass_kg` that it has of the weight of both:
 so that they swing about their common centre h / m. What the bodies turn about their own centres,
 some 1e-4 kg m^2 for a tool of this size, is `own_inertia_kg_m2`, added to I.
 
-Cable: with x = kappa (d - d_0),
+Cable:
 
     T(d) = T_0 g(kappa (d - d_0)),   g(x) = c ln(1 + exp((x_1 + x) / c)),   c = 1/4
 
