@@ -6,11 +6,8 @@ from pathlib import Path
 
 import numpy as np
 from galen_deflection.models.file import write_model
-from galen_deflection.models.fitted_range import FittedRange
-from galen_deflection.models.hysteresis_basis import COLUMNS, HysteresisBasis, Operator
-from galen_deflection.models.joint_stiffness import StiffnessBasis
-from galen_deflection.models.linear import Basis, FittedOn, LinearModel
-from galen_deflection.springs.springs import kinds
+from galen_deflection.models.interface import FittedRange
+from galen_deflection.models.spring_model import Operator, SpringBasis, SpringModel
 from galen_model.arm.galen import SENSOR
 from galen_model.files.calibration_file import (
     CalibrationFile,
@@ -49,20 +46,21 @@ def write_bench_tool(tools_dir: Path) -> None:
     write_calibration(calibration_path(tools_dir, NAME), bench_tool())
 
 
-def bench_models() -> tuple[LinearModel, LinearModel]:
+def bench_models() -> tuple[SpringModel, SpringModel]:
     """Return springs, and springs with two smooth plays at each.
 
     Plays as fits to arms with friction come out.
     """
     tip_m = TOOLS[NAME].tip_m
+    springs = SpringBasis(tip_m)
     operators = tuple(
-        Operator(place, "smooth_play", (share * load,) * len(COLUMNS[place]))
+        Operator(place, "smooth_play", (share * load,) * len(springs.columns[place]))
         for place, load in _LARGEST.items()
         for share in _SHARES
     )
     return (
-        _nominal("joint_stiffness", StiffnessBasis(tip_m)),
-        _nominal("joint_hysteresis", HysteresisBasis(tip_m, operators)),
+        _nominal("joint_stiffness", springs),
+        _nominal("joint_hysteresis", SpringBasis(tip_m, operators)),
     )
 
 
@@ -75,20 +73,19 @@ def write_bench_models(folder: Path) -> list[Path]:
     return paths
 
 
-def _nominal(kind: str, basis: Basis) -> LinearModel:
-    nominal = {kind.name: kind.compliance for kind in kinds()}
-    given = [nominal[operator.place] for operator in getattr(basis, "operators", ())]
+def _nominal(kind: str, basis: SpringBasis) -> SpringModel:
+    nominal = {kind.name: kind.compliance for kind in basis.kinds}
+    given = [nominal[operator.place] for operator in basis.operators]
     values = np.array([*nominal.values(), *(_WEIGHT * compliance for compliance in given)])
     home = np.array([0.0, 0.0, 0.408, 0.0, 0.0])
     push, way = np.full(6, 20.0), np.array([0.1, 0.1, 0.1, 1.5, 1.0])
-    return LinearModel(
+    return SpringModel(
         name=kind,
-        tip_m=TOOLS[NAME].tip_m,
         basis=basis,
         values=values,
         covariance=np.diag((0.01 * values) ** 2),
         discrepancy=np.eye(6) * 1e-12,
         noise=np.full(6, 1e-4),
         fitted_range=FittedRange(-push, push, home - way, home + way),
-        fitted_on=FittedOn(1, 1, 1, 1),
+        fitted_on={"samples": 1, "segments": 1, "positions": 1, "sets": 1},
     )

@@ -20,7 +20,7 @@ from functools import partial
 from itertools import count
 
 import numpy as np
-from galen_deflection.models.interface import Stream
+from galen_deflection.models.spring_model import SpringStream
 from galen_model.arm.galen import GALEN, SENSOR
 from galen_model.arm.pinocchio_arm import PinocchioArm
 from galen_model.arrays import Array
@@ -162,7 +162,7 @@ def hysteresis(rounds: int) -> list[Compared]:
     ]
 
 
-def _step(stream: Stream, samples: list[tuple[Array, Array]], turns: Iterator[int]) -> None:
+def _step(stream: SpringStream, samples: list[tuple[Array, Array]], turns: Iterator[int]) -> None:
     """Stream all samples through a model, at 500 Hz by their stamps, turn after turn."""
     now_ns = next(turns) * len(samples) * _PERIOD_NS
     for joints, wrench in samples:

@@ -1,23 +1,19 @@
-"""What can go wrong with a deflection, measured or modelled."""
+"""Errors of a deflection, measured or modelled."""
 
 from galen_model.errors import GalenError
 
 
-class FitError(GalenError):
+class DeflectionError(GalenError):
+    """A recording, a model's file or a prediction that is unusable; the message says why."""
+
+
+class FitError(DeflectionError):
     """A model that can't be fitted to the samples given; the message says why."""
 
 
-class NegativeComplianceError(FitError):
-    """Samples that want a spring to push back; the message names the spring."""
-
-
-class ModelFileError(GalenError):
-    """A model's file is missing, unreadable or does not say what it must."""
-
-
-class PushRecordingError(GalenError):
-    """A recording doesn't hold what a deflection is found from; the message says what lacks."""
-
-
-class RegistrationError(GalenError):
+class RegistrationError(DeflectionError):
     """The tracker can't be registered to the arm, or the registration doesn't hold."""
+
+
+class SplitError(DeflectionError):
+    """Samples that can't be split as asked; the message says what lacks."""

@@ -17,11 +17,9 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
-from galen_deflection.live.deflector import Deflected, Deflector, GravcompState
-from galen_deflection.live.monitor import DeflectorMonitor
-from galen_deflection.live.parameters import DeflectionParameters
-from galen_deflection.models.file import read_model
-from galen_deflection.models.interface import DeflectionModel
+from galen_deflection.deflector import Deflected, DeflectionParameters, Deflector, GravcompState
+from galen_deflection.models.file import DeflectionModel, read_model
+from galen_deflection.monitor import DeflectorMonitor
 from galen_msgs.msg import DeflectionStamped
 
 BASE_FRAME = "base_link"
@@ -57,9 +55,7 @@ class DeflectionNode(StreamNode):
         self._deflection_bytes = deflection_bytes(BASE_FRAME)
         self._pose_bytes = pose_bytes(BASE_FRAME)
         self._deflections = self.create_publisher(DeflectionStamped, "deflection", STREAM)
-        self._tip_poses = None
-        if p.publish_tip_pose:
-            self._tip_poses = self.create_publisher(PoseStamped, "tip_pose_corrected", STREAM)
+        self._tip_poses = self.create_publisher(PoseStamped, "tip_pose_corrected", STREAM)
         self._load_at_start(p.model_file)
         self._begin(
             self._deflector.pairing,
@@ -90,8 +86,7 @@ class DeflectionNode(StreamNode):
                 [predicted.extrapolated],
             )
         )
-        if self._tip_poses is not None:
-            self._tip_poses.publish(self._pose_bytes.fill(result.stamp_ns, *result.tip))
+        self._tip_poses.publish(self._pose_bytes.fill(result.stamp_ns, *result.tip))
 
     # The model
 
@@ -199,7 +194,7 @@ class DeflectionNode(StreamNode):
 
 
 def _model_of(file: str) -> DeflectionModel | None:
-    """The model of a file, None for no file; raises ModelFileError that names it."""
+    """The model of a file, None for no file; raises DeflectionError that names it."""
     return read_model(Path(file).expanduser()) if file else None
 
 

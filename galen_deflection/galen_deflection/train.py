@@ -6,43 +6,40 @@ import argparse
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
+import numpy as np
 from galen_model.errors import GalenError
 from galen_ros.command import (
     EXIT_OK,
     add_bags,
     add_json,
-    add_plots,
     check_file,
-    check_folder,
     make_parser,
     print_json,
     progress,
     run_command,
     terminal,
-    writing,
 )
 
-from galen_deflection.measurement.recordings import Recording, join_recordings
+from galen_deflection.measurement.measured_deflection import join_recordings
 from galen_deflection.measurement.samples import DeflectionSamples
-from galen_deflection.models.file import write_model
-from galen_deflection.models.interface import DeflectionModel, FitSettings
-from galen_deflection.models.registry import KINDS
-from galen_deflection.scoring.cross_check import cross_check, make_tasks, seen_split
-from galen_deflection.scoring.options import (
+from galen_deflection.models.file import KINDS, DeflectionModel, write_model
+from galen_deflection.models.interface import FitSettings
+from galen_deflection.models.network import NetworkModel
+from galen_deflection.models.spring_model import SpringModel
+from galen_deflection.scoring.cross_check import SPLITS, cross_check, usual_splits
+from galen_deflection.scoring.report import (
     TABLE_WIDTH,
-    add_fit,
     add_recordings,
-    fit_settings,
+    parameter_rows,
+    parameter_table,
+    print_problems,
     read_all,
     read_settings,
+    score_table,
 )
 from galen_deflection.scoring.score import Score, score
-from galen_deflection.scoring.splits import SPLITS, SplitError
-from galen_deflection.scoring.train_report import print_training, to_dict
 
 _KINDS = f"""kinds:
 {chr(10).join(f"  {name:<20} {kind.summary}" for name, kind in KINDS.items())}"""
@@ -68,7 +65,7 @@ def build_parser() -> argparse.ArgumentParser:
         required=True,
         type=Path,
         metavar="FILE",
-        help="the model's file: JSON, or safetensors of a network; an old one is kept as FILE.bak",
+        help="the model's file, JSON; an old one is kept as FILE.bak",
     )
     parser.add_argument(
         "--check",
@@ -79,103 +76,114 @@ def build_parser() -> argparse.ArgumentParser:
         f" {', '.join(SPLITS)}, none (default: seen and unseen positions; none for a network, since"
         " each takes as long as the training)",
     )
-    add_plots(parser)
     add_json(parser)
     add_recordings(parser, required=True)
-    add_fit(parser.add_argument_group("fits"))
     return parser
 
 
-def fit(
-    kind: str, samples: DeflectionSamples, settings: FitSettings, quiet: bool
-) -> DeflectionModel:
+def fit(kind: str, samples: DeflectionSamples, quiet: bool) -> DeflectionModel:
     """Fit to all samples, with a bar; raises GalenError."""
-    with progress(1, "fit", quiet=quiet) as bar:
+    with progress(1, "iteration", quiet=quiet) as bar:
         bar.set_description(kind)
-        told = False
 
         def show(done: int, total: int, what: str) -> None:
-            nonlocal told
-            told, bar.total, bar.unit = True, total, "iteration"
+            bar.total = total
             bar.set_description(what, refresh=False)
             bar.update(done - bar.n)
 
-        model = KINDS[kind].fit(samples, replace(settings, on_progress=show))
-        if not told:  # too quick to say anything
-            bar.update()
-        return model
+        return KINDS[kind].fit(samples, FitSettings(on_progress=show))
 
 
 def held_out(
-    kind: str,
-    recordings: Sequence[Recording],
-    names: Sequence[str],
-    settings: FitSettings,
-    quiet: bool,
+    kind: str, samples: DeflectionSamples, names: Sequence[str], quiet: bool
 ) -> Mapping[str, Score | str]:
-    """Scores of fits that had not seen the samples, by split; or why there is none."""
+    """Return scores of fits that had not seen the samples, by split; or why there is none."""
     found: dict[str, Score | str] = {}
     for name in names:
         try:
-            (task,) = make_tasks([name], recordings)
-        except SplitError as error:
+            splits = SPLITS[name](samples)
+            with progress(len(splits), "fit", quiet=quiet) as bar:
+                bar.set_description(f"held out, {name}")
+                found[name] = cross_check(kind, samples, splits, on_split=bar.update).score
+        except GalenError as error:
             found[name] = str(error)
-            continue
-        with progress(len(task.splits), "fit", quiet=quiet) as bar:
-            bar.set_description(f"held out, {name}")
-            try:
-                found[name] = cross_check(kind, task, settings, lambda _: bar.update()).score
-            except GalenError as error:
-                found[name] = str(error)
     return found
 
 
-def _checks(arguments: argparse.Namespace, samples: DeflectionSamples) -> list[str]:
+def _checks(arguments: argparse.Namespace, model: DeflectionModel, samples: DeflectionSamples
+) -> list[str]:  # fmt: skip
     if arguments.check is not None:
         return [name for name in dict.fromkeys(arguments.check) if name != "none"]
-    if KINDS[arguments.kind].is_network:
-        return []
-    return [seen_split(samples), "position"]
+    return [] if isinstance(model, NetworkModel) else usual_splits(samples)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Train as the options say; returns the exit code; raises GalenError."""
     check_file(arguments.output)
-    check_folder(arguments.plots)
     quiet = arguments.json
     recordings = read_all(arguments.bags, read_settings(arguments), quiet)
     samples = join_recordings(recordings)
-    settings = fit_settings(arguments)
     started_s = time.monotonic()
-    model = fit(arguments.kind, samples, settings, quiet)
+    model = fit(arguments.kind, samples, quiet)
     seconds = time.monotonic() - started_s
     write_model(arguments.output, model)
-    pictures = _pictures(model, arguments.plots, arguments.output.stem)
-    checked = held_out(arguments.kind, recordings, _checks(arguments, samples), settings, quiet)
-    result: dict[str, Any] = {
-        "file": arguments.output,
-        "recordings": recordings,
-        "samples": samples,
-        "model": model,
-        "seconds": seconds,
-        "fit": score(samples, model.predict(samples)),
-        "checked": checked,
-        "pictures": pictures,
+    names = _checks(arguments, model, samples)
+    checked = held_out(arguments.kind, samples, names, quiet)
+    content = {
+        "kind": model.name,
+        "file": str(arguments.output),
+        "bags": [str(recording.path) for recording in recordings],
+        "tool": recordings[0].tool.tool,
+        "samples": len(samples),
+        "positions": len(np.unique(samples.position)),
+        "fit_s": seconds,
+        "parameters": parameter_rows(model),
+        "unresolved": list(model.unresolved) if isinstance(model, SpringModel) else [],
+        "notes": list(model.notes),
+        "problems": {str(recording.path): list(recording.problems) for recording in recordings},
     }
-    if arguments.json:
-        print_json(to_dict(**result))
+    fitted = score(samples, model.predict(samples))
+    if quiet:
+        scores = {
+            name: {"error": one} if isinstance(one, str) else one.to_json()
+            for name, one in checked.items()
+        }
+        print_json(content | {"fit": fitted.to_json(), "held_out": scores})
+        return EXIT_OK
+    to = terminal(TABLE_WIDTH)
+    print_problems(recordings, to)
+    to.print(
+        f"[bold]{model.name}[/bold], tool {content['tool']}: {len(samples)} samples at"
+        f" {content['positions']} positions out of {len(recordings)} recordings, fitted in"
+        f" {seconds:.1f} s",
+        soft_wrap=True,
+    )
+    if isinstance(model, SpringModel):
+        to.print(parameter_table(parameter_rows(model)))
     else:
-        print_training(**result, to=terminal(TABLE_WIDTH))
+        to.print(f"{model.iterations} iterations, error / noise {model.held_out_error:.2f} on what"
+                 " was held out")  # fmt: skip
+    notes = list(model.notes)
+    if isinstance(model, SpringModel):
+        notes += [f"{name}: not identifiable from these samples; it keeps its prior"
+                  for name in model.unresolved]  # fmt: skip
+    rows = {"fitted to": fitted} | {
+        f"held out: {name}": one for name, one in checked.items() if isinstance(one, Score)
+    }
+    to.print(score_table(rows, "How well it predicts"))
+    notes += [f"not held out, {name}: {one}" for name, one in checked.items()
+              if isinstance(one, str)]  # fmt: skip
+    if not checked:
+        notes.append("nothing was held out: the first row says little; --check does")
+    for note in notes:
+        to.print(f"[yellow]{note}[/yellow]", soft_wrap=True)
+    to.print(f"[bold green]model file: {arguments.output}[/bold green]", soft_wrap=True)
+    to.print(
+        f"next, on a recording that it was not fitted to: ros2 run galen_deflection evaluate BAG"
+        f" --tool FILE --model {arguments.output}",
+        soft_wrap=True,
+    )
     return EXIT_OK
-
-
-def _pictures(model: DeflectionModel, folder: Path | None, name: str) -> list[Path]:
-    if folder is None:
-        return []
-    from galen_deflection.scoring.pictures import plot_trainings  # slow to import
-
-    with writing(folder):
-        return plot_trainings({model.name: model}, folder, name)
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -3,11 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from galen_deflection.collection.plan import ToTip, to_tip
-from galen_model.arm.galen import HOME
-from galen_model.arm.kinematics import tip_pose
-from galen_model.arm.stiffness import tip_compliance
-from galen_model.registration.rigid import Transform
+from galen_deflection.models.springs import Springs
+from galen_model.arm.galen import GALEN, HOME
+from galen_model.registration import Transform
 from galen_model.rotation import rotvec_to_matrix
 
 STEP_S = 0.01
@@ -17,6 +15,7 @@ BASE_IN_TRACKER = Transform(rotvec_to_matrix([0.1, 2.9, 0.3]), np.array([0.15, -
 BASE_MARKER = Transform(rotvec_to_matrix([0.05, -0.1, 0.7]), np.array([0.32, 0.21, 0.05]))
 BASE_POSE = BASE_IN_TRACKER @ BASE_MARKER
 TRACKER_EVERY = 3
+SPRINGS = Springs(TIP)
 
 
 class FakeArm:
@@ -69,7 +68,7 @@ class FakeArm:
         self._to = self._to + self.drift * STEP_S
         self.joints = self._from + path * (self._to - self._from)
         self._steps += 1
-        wrench = self._here().to_tip.inverse_of(self.load) + self.offset
+        wrench = np.linalg.solve(self._here().to_tip, self.load) + self.offset
         wrench[:3] += self.noise_n * self.random.standard_normal(3)
         wrench[3:] += 0.02 * self.noise_n * self.random.standard_normal(3)
         looks = self._steps % TRACKER_EVERY == 0
@@ -87,9 +86,9 @@ class FakeArm:
         if self._known is None or not np.array_equal(self._known.joints, self.joints):
             self._known = Here(
                 self.joints.copy(),
-                to_tip(self.joints, TIP),
-                Transform(*tip_pose(self.joints, TIP)),
-                None if self.moving else tip_compliance(self.joints, TIP),
+                SPRINGS.geometry(self.joints[None]).to_tip[0],
+                Transform(*GALEN.tip_pose(self.joints, TIP)),
+                None if self.moving else GALEN.tip_compliance(self.joints, TIP),
             )
         return self._known
 
@@ -113,7 +112,7 @@ class Here:
     """What hangs on the joints alone; no compliance on the way."""
 
     joints: np.ndarray
-    to_tip: ToTip
+    to_tip: np.ndarray
     tip: Transform
     compliance: np.ndarray | None
 

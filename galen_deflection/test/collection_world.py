@@ -27,8 +27,6 @@ QUICK = {
     "untouched_s": 1.2,
     "hold_s": 0.3,
     "rest_s": 0.3,
-    "push_rise_s": 0.2,
-    "push_fall_s": 0.2,
 }
 POSITIONS = [*HOME.tolist(), 0.03, -0.03, 0.42, 0.5, -0.4]
 

@@ -2,10 +2,8 @@
 
 import numpy as np
 from deflection_synthetic import NOISE, TIP_M
-from galen_deflection.models.fitted_range import FittedRange
-from galen_deflection.models.hysteresis_basis import HysteresisBasis, Operator
-from galen_deflection.models.joint_stiffness import COMPLIANCES, StiffnessBasis
-from galen_deflection.models.linear import FittedOn, LinearModel
+from galen_deflection.models.interface import FittedRange
+from galen_deflection.models.spring_model import Operator, SpringBasis, SpringModel
 
 OPERATORS = (
     Operator("roll", "play", (0.4,)),
@@ -18,22 +16,21 @@ JOINT_SPREAD = np.array([0.15, 0.15, 0.15, 1.6, 1.1])
 
 def made_model(hysteresis=True, tip_m=TIP_M, softer=1.0):
     """The nominal arm, `softer` times as compliant, with plays at its joints if asked for."""
-    basis = StiffnessBasis(tip_m)
-    values = softer * np.array([parameter.prior for parameter in COMPLIANCES])
+    basis = SpringBasis(np.asarray(tip_m))
+    values = softer * np.array([parameter.prior for parameter in basis.compliances])
     if hysteresis:
-        basis = HysteresisBasis(tip_m, OPERATORS)
+        basis = SpringBasis(np.asarray(tip_m), OPERATORS)
         values = np.concatenate([values, WEIGHTS])
     push = np.array([20.0, 20.0, 20.0, 4.0, 4.0, 4.0])
     home = np.array([0.0, 0.0, 0.408, 0.0, 0.0])
     size = len(values)
-    return LinearModel(
+    return SpringModel(
         "joint_hysteresis" if hysteresis else "joint_stiffness",
-        np.asarray(tip_m),
         basis,
         values,
         np.diag((0.01 * values) ** 2),
         np.diag(NOISE**2) * 0.01,
         NOISE,
         FittedRange(-push, push, home - JOINT_SPREAD, home + JOINT_SPREAD),
-        FittedOn(size, 1, 1, 1),
+        {"samples": size, "segments": 1, "positions": 1, "sets": 1},
     )

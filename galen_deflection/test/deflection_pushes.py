@@ -3,8 +3,8 @@
 import numpy as np
 from galen_deflection.measurement.samples import DeflectionSamples
 from galen_deflection.models.interface import PredictedSamples
-from galen_model.arm.kinematics import sensor_pose, tip_pose
-from galen_model.wrench import move_wrench
+from galen_model.arm.galen import GALEN
+from galen_model.registration import move_wrench
 
 TIP = np.array([0.18, 0.01, 0.05])
 JOINTS = np.array([0.03, -0.05, 0.45, 0.8, -0.6])
@@ -15,8 +15,8 @@ def make_samples(at_tip, deflection, *, segment=None, position=None, noise=NOISE
     """Samples with these wrenches (n, 6) at the tip in base_link."""
     at_tip = np.asarray(at_tip, dtype=float)
     count = len(at_tip)
-    rotation, origin = sensor_pose(JOINTS)
-    _, tip = tip_pose(JOINTS, TIP)
+    rotation, origin = GALEN.sensor_pose(JOINTS)
+    _, tip = GALEN.tip_pose(JOINTS, TIP)
     wrench = move_wrench(at_tip, rotation.T, rotation.T @ (tip - origin))
     return DeflectionSamples(
         stamp_ns=1_700_000_000_000_000_000 + np.arange(count) * round(period_s * 1e9),

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from galen_deflection.measurement.samples import DeflectionSamples
-from galen_deflection.springs.springs import SPRINGS, Springs, TipWrench, kinds
+from galen_deflection.models.springs import Springs, kinds
 from galen_model.load.nominal_tools import TOOLS
 
 TIP_M = TOOLS["retractor"].tip_m
@@ -46,7 +46,7 @@ class Arm:
         for kind, compliance, friction in zip(
             kinds(), self.compliances, (*self.friction, 0.0), strict=True
         ):
-            for s in range(*kind.springs.indices(len(SPRINGS))):
+            for s in kind.springs:
                 result[:, s] = compliance * loads[:, s]
                 if friction > 0.0:
                     result[:, s] = dahl(loads[:, s], 1.0 / compliance, friction)
@@ -106,7 +106,7 @@ def recording(
     for repetition in range(sets):
         for position, place in enumerate(positions):
             joints = np.tile(place, (len(at_tip), 1))
-            jacobian = Springs(TIP_M).jacobian(joints[:1])[0]
+            jacobian = Springs(TIP_M).geometry(joints[:1]).jacobian[0]
             displacement = arm.displacements(at_tip @ jacobian) @ jacobian.T
             segment = repetition * len(positions) + position
             numbers = (segment, position, repetition)
@@ -129,24 +129,18 @@ def recording(
 
 def in_sensor(joints, at_tip):
     """Wrenches (n, 6) in ft_sensor about its origin of those at the tip in base_link."""
-    to_tip = TipWrench(TIP_M)
-    unit = np.stack(
-        [to_tip(joints[:1], row[None])[0] for row in np.eye(6)], axis=1
-    )  # one place only: the matrix that goes the other way
-    return np.linalg.solve(unit, at_tip.T).T
+    to_tip = Springs(TIP_M).geometry(joints[:1]).to_tip[0]  # one place only
+    return np.linalg.solve(to_tip, at_tip.T).T
 
 
 def without_noise(samples, arm):
     """The same samples with the true deflection."""
-    loads = np.einsum(
-        "nis,ni->ns",
-        Springs(TIP_M).jacobian(samples.joints),
-        TipWrench(TIP_M)(samples.joints, samples.wrench),
-    )
+    geometry = Springs(TIP_M).geometry(samples.joints)
+    at_tip = np.einsum("nij,nj->ni", geometry.to_tip, samples.wrench)
+    loads = np.einsum("nis,ni->ns", geometry.jacobian, at_tip)
     deflection = np.empty_like(samples.deflection)
     for segment in np.unique(samples.segment):
         rows = samples.segment == segment
-        jacobian = Springs(TIP_M).jacobian(samples.joints[rows])
         moved = arm.displacements(loads[rows])
-        deflection[rows] = np.einsum("nis,ns->ni", jacobian, moved)
+        deflection[rows] = np.einsum("nis,ns->ni", geometry.jacobian[rows], moved)
     return replace(samples, deflection=deflection)

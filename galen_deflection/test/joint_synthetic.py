@@ -6,7 +6,7 @@ Springs with Dahl's friction under a torque, and lost motion that friction takes
 
 import numpy as np
 from deflection_synthetic import dahl
-from galen_model.transmission.joint_run import JointRun
+from galen_model.transmission import JointRun
 
 RATE_HZ = 100.0
 STIFFNESS = 5e3  # N.m/rad

@@ -7,14 +7,11 @@ from pathlib import Path
 
 import numpy as np
 from galen_bags.formats.writer import BagWriter
-from galen_model.arm.galen import JOINT_NAMES, SENSOR
-from galen_model.arm.kinematics import sensor_pose, tip_pose
-from galen_model.arm.stiffness import tip_compliance
+from galen_model.arm.galen import GALEN, JOINT_NAMES, SENSOR
 from galen_model.files.calibration_file import read_calibration
 from galen_model.load.prediction import Prediction
-from galen_model.registration.rigid import IDENTITY, Transform
+from galen_model.registration import IDENTITY, Transform, move_wrench
 from galen_model.rotation import matrix_to_quaternion, rotvec_to_matrix
-from galen_model.wrench import move_wrench
 from galen_ros.cdr import joint_state_bytes, pose_bytes, wrench_bytes
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -115,12 +112,12 @@ class Scene:
         times = self._times(self.joint_rate_hz, 0.0)
         made[JOINTS] = _topic(times, self.joints_at(times))
         times = self._times(self.wrench_rate_hz, 0.0013)
-        angles = self.joints_at(times)[:, 3:]
-        reading = self.wrench_at(times) + Prediction(TOOL).readings(angles[:, 0], angles[:, 1])
+        angles = GALEN.angles(self.joints_at(times))
+        reading = self.wrench_at(times) + Prediction(TOOL).readings(angles)
         noise = rng.standard_normal((len(times), 6)) * SENSOR.noise_std
         made[WRENCH] = _topic(times, reading + noise)
         times = self._times(self.tracker_rate_hz, 0.0021)
-        tip = Transform(*tip_pose(self.joints_at(times) + self.joint_zeros, TOOL.tip_m))
+        tip = Transform(*GALEN.tip_pose(self.joints_at(times) + self.joint_zeros, TOOL.tip_m))
         tip = tip.displaced(self.deflection_at(times))
         many = np.zeros((len(times), 1))
         offset = _repeated(self.tool_marker, many)
@@ -149,9 +146,9 @@ class Scene:
 
 def nominal(joints: np.ndarray, wrench: np.ndarray, tip_m=TOOL.tip_m) -> np.ndarray:
     """Nominal deflections (n, 6) of one position's wrenches (n, 6) in ft_sensor."""
-    rotation, origin = sensor_pose(joints)
-    _, tip = tip_pose(joints, tip_m)
-    return move_wrench(wrench, rotation, origin - tip) @ tip_compliance(joints, tip_m).T
+    rotation, origin = GALEN.sensor_pose(joints)
+    _, tip = GALEN.tip_pose(joints, tip_m)
+    return move_wrench(wrench, rotation, origin - tip) @ GALEN.tip_compliance(joints, tip_m).T
 
 
 def write(path: Path, topics: dict[str, Topic], frame: str = "tracker") -> Path:

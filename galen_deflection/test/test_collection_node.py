@@ -17,10 +17,10 @@ from galen_deflection.collection.command import format_result, parse, result_fie
 from galen_deflection.collection.commands import ErrorCode, State
 from galen_deflection.measurement.measured_deflection import measure_deflection
 from galen_deflection.measurement.push_recording import read_pushes
-from galen_deflection.measurement.pushes import find_pushes, tip_wrench
-from galen_deflection.models.registry import KINDS
-from galen_deflection.scoring.splits import report_splits, sets_of
-from galen_deflection.springs.springs import kinds
+from galen_deflection.measurement.samples import find_pushes
+from galen_deflection.models.spring_fit import fit_stiffness
+from galen_deflection.models.springs import kinds, tip_wrench
+from galen_deflection.scoring.cross_check import report_splits, sets_of
 from galen_model.files.calibration_file import read_calibration
 from galen_ros.command import EXIT_USAGE
 from galen_ros.node.testing import Harness
@@ -199,13 +199,13 @@ def test_from_the_simulated_arm_to_the_compliances_of_its_joints(tmp_path):
     samples = measured.samples
     assert sets_of(samples) == {0: [0, 1], 1: [0, 1], 2: [0, 1], 3: [0, 1]}
     for split in report_splits(samples):
-        for part, count in ((split.train, 6), (split.check, 2)):
+        for part, count in ((~split.check, 6), (split.check, 2)):
             picked = np.stack([samples.position[part], samples.set_number[part]], axis=1)
             assert len(np.unique(picked, axis=0)) == count
     # A busy machine stalls the simulation, which reading takes for jumps of the stamps.
     assert len(find_pushes(samples, tip_wrench(samples))) >= 24
 
-    model = KINDS["joint_stiffness"].fit(samples)
+    model = fit_stiffness(samples)
     nominal = np.array([kind.compliance for kind in kinds()])  # what the driver's arm has
     assert model.unresolved == ()
     assert np.all(model.std < 0.05 * nominal)

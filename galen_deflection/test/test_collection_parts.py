@@ -6,32 +6,33 @@ import math
 import numpy as np
 import pytest
 from collection_fake_arm import TIP
-from galen_deflection.collection.commands import NOTHING, Collected, ErrorCode, State
-from galen_deflection.collection.folder import CollectionFolder, CollectionFolderError, summary
-from galen_deflection.collection.no_contact import MarkerPoses
-from galen_deflection.collection.parameters import CollectionParameters
+from galen_deflection.collection.commands import NOTHING, Collected, ErrorCode, Finished, State
+from galen_deflection.collection.node import summary
 from galen_deflection.collection.plan import (
-    LoadLimits,
+    CollectionParameters,
     OutOfReachError,
     PlanError,
     WantedPush,
     make_plan,
-    to_tip,
 )
-from galen_deflection.collection.push import PushWatch
-from galen_deflection.springs.springs import TipWrench
+from galen_deflection.collection.recorder import CollectionFolder, CollectionFolderError
+from galen_deflection.collection.watches import MarkerPoses, PushWatch
 from galen_model.arm.galen import HOME
 from galen_model.errors import ToolNameError
 from galen_model.files.calibration_file import read_calibration
 from push_bag import TOOL
 
-LIMITS = LoadLimits(20.0, 2.9)
+from galen_msgs.action import CollectPushes
+
 HERE = HOME.tolist()
 THERE = [0.02, -0.02, 0.42, 0.3, -0.2]
 
 
 def plan(positions=(*HERE, *THERE), forces=(3.0, 6.0), torques=(0.3,), sets=2):
-    return make_plan(positions, forces, torques, sets, TIP, LIMITS)
+    asked = CollectionParameters(
+        positions=tuple(positions), forces_n=forces, torques_nm=torques, sets=sets
+    )
+    return make_plan(asked, TIP)
 
 
 # --- the plan -----------------------------------------------------------------------------------
@@ -85,27 +86,15 @@ def test_a_single_position_may_have_a_single_set():
     assert plan(positions=HERE, sets=1).total == 18
 
 
-def test_the_tip_s_load_is_what_the_models_see():
-    rng = np.random.default_rng(3)
-    wrench = rng.standard_normal((4, 6))
-    there = to_tip(np.array(THERE), TIP)
-    expected = TipWrench(TIP)(np.tile(THERE, (4, 1)), wrench)
-    assert there(wrench) == pytest.approx(expected, abs=1e-12)
-    assert there.inverse_of(there(wrench)) == pytest.approx(wrench, abs=1e-12)
-
-
 # --- one push -----------------------------------------------------------------------------------
 
-PUSH_LIMITS = CollectionParameters(
-    level_tolerance=0.15,
-    aside_share=0.3,
-    overload_share=1.5,
-    released_n=0.15,
-    released_nm=0.02,
-    hold_s=0.3,
-    rest_s=0.2,
-    release_timeout_s=1.0,
-)
+
+class Impatient(CollectionParameters):
+    overload_share = 1.5
+    release_timeout_s = 1.0
+
+
+PUSH_LIMITS = Impatient(hold_s=0.3, rest_s=0.2)
 
 
 def watched(loads, wanted=None, timeout_s=2.0, period_s=0.02):
@@ -281,9 +270,8 @@ def test_a_place_that_can_not_be_written_is_named(tmp_path):
 
 def test_the_summary_is_json_without_nan():
     collected = Collected(3, ("set 1, position 2, 6 N along -x: reason",), NOTHING, False, ("odd",))
-    content = summary(
-        "monday", "retractor", plan(), True, ErrorCode.CANCELED, "canceled", collected, 12
-    )
+    request = CollectPushes.Goal(name="monday", tool="retractor", push_by_service=True)
+    content = summary(request, plan(), Finished(ErrorCode.CANCELED, "canceled", collected), 12)
     read = json.loads(json.dumps(content, allow_nan=False))
     assert read["calibration"] == {"shift": None, "holds": False}
     assert read["error"] == {"code": "CANCELED", "message": "canceled"}
@@ -295,14 +283,7 @@ def test_the_summary_is_json_without_nan():
 def test_the_default_parameters_are_a_collection_like_the_report_s():
     parameters = CollectionParameters()
     parameters.validate()
-    made = make_plan(
-        parameters.positions,
-        parameters.forces_n,
-        parameters.torques_nm,
-        parameters.sets,
-        TOOL.tip_m,
-        parameters.limits,
-    )
+    made = make_plan(parameters, np.asarray(TOOL.tip_m))
     assert (len(made.positions), made.sets) == (4, 2)  # eight sets
     assert made.total == 8 * 18
 

@@ -13,12 +13,20 @@ from galen_deflection.collection.commands import (
     Record,
     State,
 )
-from galen_deflection.collection.parameters import CollectionParameters
-from galen_deflection.collection.plan import make_plan
+from galen_deflection.collection.plan import CollectionParameters, make_plan
 from galen_deflection.collection.procedure import CollectionProcedure
 from galen_ros.goal.procedure import MoveTo, Stop
 
-SETTINGS = CollectionParameters(
+
+@dataclasses.dataclass(frozen=True)
+class Impatient(CollectionParameters):
+    overload_share = 1.5
+    release_timeout_s = 1.0
+    push_edge_s = 0.2
+    max_left_out_in_a_row = 3
+
+
+SETTINGS = Impatient(
     settle_s=0.1,
     max_delta_velocity_m_s=0.5,
     max_angle_velocity_rad_s=5.0,
@@ -27,14 +35,9 @@ SETTINGS = CollectionParameters(
     motion_timeout_s=2.0,
     untouched_s=1.0,
     untouched_timeout_s=4.0,
-    overload_share=1.5,
     hold_s=0.3,
     rest_s=0.2,
-    release_timeout_s=1.0,
     push_timeout_s=1.2,
-    push_rise_s=0.2,
-    push_fall_s=0.2,
-    max_left_out_in_a_row=3,
     max_torque_nm=4.0,
     service_timeout_s=5.0,
 )
@@ -49,7 +52,9 @@ class World:
     ):
         """`only` so many of the pushes, to be quick."""
         self.arm, self.hand = FakeArm(), Hand()
-        plan = make_plan(POSITIONS[:places], (6.0,), torques, sets, TIP, settings.limits)
+        flat = tuple(value for joints in POSITIONS[:places] for value in joints)
+        asked = {"positions": flat, "forces_n": (6.0,), "torques_nm": torques, "sets": sets}
+        plan = make_plan(dataclasses.replace(settings, **asked), TIP)
         plan = dataclasses.replace(plan, pushes=plan.pushes[:only])
         self.procedure = CollectionProcedure(settings, plan, TIP, by_service)
         self.by_service = by_service

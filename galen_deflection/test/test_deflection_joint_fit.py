@@ -5,13 +5,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from galen_deflection.errors import FitError
-from galen_deflection.transmission.comparison import OURS, JointSettings, compare
-from galen_deflection.transmission.joint_fit import CellSums, fit_terms
-from galen_deflection.transmission.joint_parameters import estimate
-from galen_deflection.transmission.joint_report import notes
-from galen_model.transmission.joint_run import JointRun, encoder_step, noise_of, swapped
-from galen_model.transmission.parts import PartsError, time_blocks, whole_runs
-from galen_model.transmission.terms import TERMS, Scales, design, velocity
+from galen_deflection.scoring.joint_fit import OURS, CellSums, compare, estimate, fit_terms
+from galen_deflection.scoring.joint_report import notes
+from galen_model.transmission import (
+    TERMS,
+    JointRun,
+    PartsError,
+    Scales,
+    design,
+    encoder_step,
+    noise_of,
+    swapped,
+    time_blocks,
+    velocity,
+    whole_runs,
+)
 from joint_synthetic import (
     LOST_RAD,
     NOISE_RAD,
@@ -73,13 +81,13 @@ def test_a_spring_in_noise_is_found_as_well_as_it_can_be():
     assert np.sqrt(np.mean(np.square(errors))) < 2.0 * bound
 
 
-def test_a_late_clock_is_told_from_compliance():
+def test_a_late_clock_is_distinguished_from_compliance():
     runs = [spring_run("run", 3, 2e-5, seconds=12.0)]
     late = np.interp(runs[0].time_s - 0.003, runs[0].time_s, runs[0].link)
     runs = [replace(runs[0], link=late)]
     parts = time_blocks(runs, 4)
     without = compare(runs, parts)
-    told = compare(runs, parts, JointSettings(common=("delay",)))
+    told = compare(runs, parts, ("delay",))
     assert told.scores[OURS].rmse < 0.2 * without.scores[OURS].rmse
     found = estimate(told)
     assert found.estimates["delay"].value == pytest.approx(0.003, rel=0.02)

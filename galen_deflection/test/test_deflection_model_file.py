@@ -10,9 +10,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from deflection_synthetic import Arm, recording
-from galen_deflection.errors import ModelFileError
-from galen_deflection.models.file import read_model, write_model
-from galen_deflection.models.registry import KINDS
+from galen_deflection.errors import DeflectionError
+from galen_deflection.models.file import KINDS, read_model, write_model
+from galen_deflection.models.interface import FittedRange, fitted_on
+from galen_deflection.models.network import NetworkModel, RecurrentNet, Scaling, Weights
 from galen_model.errors import CalibrationFileError
 from galen_model.files.calibration_file import (
     CalibrationFile,
@@ -21,7 +22,7 @@ from galen_model.files.calibration_file import (
     write_calibration,
 )
 
-ALL = [kind for kind, what in KINDS.items() if not what.is_network]
+SPRINGS = ["joint_stiffness", "joint_hysteresis"]
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +32,28 @@ def samples():
 
 @pytest.fixture(scope="module")
 def models(samples):
-    return {kind: KINDS[kind].fit(samples, None) for kind in ALL}
+    return {kind: KINDS[kind].fit(samples, None) for kind in SPRINGS} | {"lstm": network(samples)}
+
+
+def network(samples, hidden=4):
+    """Of random weights."""
+    rng = np.random.default_rng(1)
+    shapes = Weights.shapes(11, hidden, 6)
+    weights = {name: rng.normal(size=shape) for name, shape in shapes.items()}
+    inputs = Scaling(rng.normal(size=11), rng.uniform(0.1, 1.0, 11))
+    noise = samples.noise
+    outputs = Scaling(rng.normal(size=6) * noise, noise)
+    return NetworkModel(
+        tip_m=samples.tip_m,
+        net=RecurrentNet(Weights(**weights), inputs, outputs),
+        period_s=0.04,
+        discrepancy=np.diag(noise**2 / 3.0),
+        noise=noise,
+        fitted_range=FittedRange.of(samples.joints, samples.wrench, only_nearby=True),
+        fitted_on=fitted_on(samples),
+        iterations=12,
+        held_out_error=1.5,
+    )
 
 
 @pytest.fixture
@@ -48,7 +70,7 @@ def signed(content):
     return {**rest, "sha256": hashlib.sha256(canonical.encode()).hexdigest()}
 
 
-@pytest.mark.parametrize("kind", ALL)
+@pytest.mark.parametrize("kind", [*SPRINGS, "lstm"])
 def test_a_model_that_was_read_predicts_the_same_to_the_last_bit(kind, models, samples, tmp_path):
     path = tmp_path / "deeper" / f"{kind}.json"
     write_model(path, models[kind])
@@ -75,7 +97,7 @@ def test_the_file_says_what_it_was_fitted_on_and_where_nothing(path, samples):
     ("change", "said"),
     [
         (lambda c: c.update(schema_version=2), "schema_version is 2; this version reads 1"),
-        (lambda c: c.update(kind="spline"), 'kind is "spline"; this version knows independent'),
+        (lambda c: c.update(kind="spline"), 'kind is "spline"; this version knows joint_stiffness'),
         (lambda c: c.pop("kind"), "kind is missing"),
         (lambda c: c.pop("tip_m"), "tip_m is missing"),
         (lambda c: c.update(tip_m=[0.1, 0.2]), "tip_m has shape"),
@@ -101,10 +123,34 @@ def test_the_file_says_what_it_was_fitted_on_and_where_nothing(path, samples):
     ],
 )
 def test_a_wrong_field_is_named_with_the_file(path, change, said):
+    rejects_changed(path, change, said)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda c: c["network"].update(hidden=5), r"network.weights.w_in has shape \(16, 11\)"),
+        (lambda c: c["network"].update(hidden=10**9), "network.hidden is 1000000000; expected"),
+        (lambda c: c.update(period_s=0.0), "period_s is 0; expected"),
+        (lambda c: c["network"]["input_scaling"].update(scale=[0.0] * 11), "isn't positive"),
+        (lambda c: c["network"].pop("output_scaling"), "output_scaling is missing"),
+        (lambda c: c["network"]["weights"].pop("w_out"), "w_out is missing"),
+        (lambda c: c["network"]["weights"]["bias"].pop(), "network.weights.bias has shape"),
+        (lambda c: c["discrepancy"][0].__setitem__(0, -1.0), "discrepancy has a negative"),
+        (lambda c: c.pop("iterations"), "iterations is missing"),
+    ],
+)
+def test_a_wrong_field_of_a_network_is_named(tmp_path, models, change, said):
+    path = tmp_path / "lstm.json"
+    write_model(path, models["lstm"])
+    rejects_changed(path, change, said)
+
+
+def rejects_changed(path, change, said):
     content = json.loads(path.read_text())
     change(content)
     path.write_text(json.dumps(signed(content)))
-    with pytest.raises(ModelFileError, match=said) as error:
+    with pytest.raises(DeflectionError, match=said) as error:
         read_model(path)
     assert str(error.value).startswith(f"{path}: ")
 
@@ -114,7 +160,7 @@ def test_any_change_shows_in_the_checksum(path):
     content = json.loads(text)
     content["parameters"][3]["value"] *= 1.0 + 1e-12
     path.write_text(json.dumps(content))
-    with pytest.raises(ModelFileError, match="sha256 is not that of the content"):
+    with pytest.raises(DeflectionError, match="sha256 is not that of the content"):
         read_model(path)
     path.write_text(json.dumps(json.loads(text), indent=3, sort_keys=True))  # only laid out anew
     read_model(path)
@@ -134,16 +180,16 @@ def test_any_change_shows_in_the_checksum(path):
 def test_what_is_no_model_is_rejected(tmp_path, raw, said):
     path = tmp_path / "arm.json"
     path.write_bytes(raw)
-    with pytest.raises(ModelFileError, match=said):
+    with pytest.raises(DeflectionError, match=said):
         read_model(path)
 
 
 def test_a_missing_file_and_a_folder_that_cannot_be_are_named(tmp_path, models):
-    with pytest.raises(ModelFileError, match=r"gone.json: can't be read: No such file"):
+    with pytest.raises(DeflectionError, match=r"gone.json: can't be read: No such file"):
         read_model(tmp_path / "gone.json")
     (tmp_path / "file").write_text("")
-    with pytest.raises(ModelFileError, match=r"arm.json: can't be written: "):
-        write_model(tmp_path / "file" / "arm.json", models["independent"])
+    with pytest.raises(DeflectionError, match=r"arm.json: can't be written: "):
+        write_model(tmp_path / "file" / "arm.json", models["joint_stiffness"])
 
 
 def test_what_has_no_end_is_not_waited_for(tmp_path):
@@ -151,14 +197,14 @@ def test_what_has_no_end_is_not_waited_for(tmp_path):
     pipe = tmp_path / "pipe.json"
     os.mkfifo(pipe)
     for path in ("/dev/null", pipe):
-        with pytest.raises(ModelFileError, match="no regular file"):
+        with pytest.raises(DeflectionError, match="no regular file"):
             read_model(path)
 
 
 def test_what_could_not_be_read_is_not_written(path, models):
     before = path.read_bytes()
-    broken = replace(models["coupled"], values=np.full(36, np.nan))
-    with pytest.raises(ModelFileError, match="not written"):
+    broken = replace(models["joint_stiffness"], values=np.full(4, np.nan))
+    with pytest.raises(DeflectionError, match="not written"):
         write_model(path, broken)
     assert path.read_bytes() == before
     assert [entry.name for entry in path.parent.iterdir()] == [path.name]
@@ -166,8 +212,8 @@ def test_what_could_not_be_read_is_not_written(path, models):
 
 def test_the_old_file_is_kept(path, models):
     before = path.read_bytes()
-    write_model(path, models["independent"])
-    assert read_model(path).name == "independent"
+    write_model(path, models["joint_stiffness"])
+    assert read_model(path).name == "joint_stiffness"
     assert path.with_name("arm.json.bak").read_bytes() == before
 
 
@@ -203,6 +249,6 @@ def test_a_calibration_file_and_a_model_are_not_taken_for_each_other(path, tmp_p
     with pytest.raises(CalibrationFileError) as wrong:
         read_calibration(model)
     assert str(wrong.value) == f"{model}: it is {deflection}; {calibration} is needed here"
-    with pytest.raises(ModelFileError) as wrong:
+    with pytest.raises(DeflectionError) as wrong:
         read_model(tool)
     assert str(wrong.value) == f"{tool}: it is {calibration}; {deflection} is needed here"

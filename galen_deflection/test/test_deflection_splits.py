@@ -2,14 +2,9 @@
 
 import numpy as np
 import pytest
+from galen_deflection.errors import SplitError
 from galen_deflection.measurement.samples import DeflectionSamples
-from galen_deflection.scoring.splits import (
-    SplitError,
-    leave_one_position_out,
-    leave_one_set_out,
-    report_splits,
-    sets_of,
-)
+from galen_deflection.scoring.cross_check import position_splits, report_splits, sets_of
 
 
 def make_samples(sets, segments_a_set=2, samples_a_segment=3):
@@ -44,10 +39,9 @@ def pairs(samples, rows):
 
 
 def check_whole(samples, split):
-    assert np.array_equal(split.train, ~split.check)
-    assert split.train.any()
+    assert not split.check.all()
     assert split.check.any()
-    shared = set(samples.segment[split.train]) & set(samples.segment[split.check])
+    shared = set(samples.segment[~split.check]) & set(samples.segment[split.check])
     assert not shared
 
 
@@ -64,7 +58,7 @@ def test_the_reports_split_is_six_sets_to_two():
     assert checked == [[(0, 1), (1, 1)], [(2, 1), (3, 1)], [(0, 0), (1, 0)], [(2, 0), (3, 0)]]
     for split in splits:
         check_whole(samples, split)
-        train = pairs(samples, split.train)
+        train = pairs(samples, ~split.check)
         assert len(train) == 6
         # Every position is among those fitted to.
         assert {position for position, _ in train} == {0, 1, 2, 3}
@@ -80,27 +74,18 @@ def test_the_reports_split_of_other_numbers_of_sets():
     assert checked == [[(0, 2)], [(4, 1), (7, 9)], [(0, 1)], [(4, 0), (7, 3)]]
     for split in splits:
         check_whole(samples, split)
-        assert set(samples.position[split.train]) == {0, 4, 7}
+        assert set(samples.position[~split.check]) == {0, 4, 7}
 
 
 def test_a_position_left_out_is_left_out_with_all_its_sets():
     samples = make_samples([*EIGHT, (3, 2)])
-    splits = leave_one_position_out(samples)
+    splits = position_splits(samples)
     assert [split.name for split in splits] == [f"position {k}" for k in range(4)]
     for position, split in enumerate(splits):
         check_whole(samples, split)
         assert set(samples.position[split.check]) == {position}
-        assert position not in samples.position[split.train]
+        assert position not in samples.position[~split.check]
     assert pairs(samples, splits[3].check) == [(3, 0), (3, 1), (3, 2)]
-
-
-def test_a_set_left_out_is_one_repetition():
-    samples = make_samples(EIGHT)
-    splits = leave_one_set_out(samples)
-    assert [pairs(samples, split.check) for split in splits] == [[pair] for pair in sorted(EIGHT)]
-    for split in splits:
-        check_whole(samples, split)
-        assert split.train.sum() == 42
 
 
 @pytest.mark.parametrize(
@@ -109,10 +94,8 @@ def test_a_set_left_out_is_one_repetition():
         (report_splits, [(0, 0), (0, 1)], "only position 0"),
         (report_splits, [(0, 0), (0, 1), (1, 0)], "position 1 has one"),
         (report_splits, [], "no samples"),
-        (leave_one_position_out, [(3, 0), (3, 1)], "only position 3"),
-        (leave_one_position_out, [], "no samples"),
-        (leave_one_set_out, [(0, 4)], "only one set"),
-        (leave_one_set_out, [], "no samples"),
+        (position_splits, [(3, 0), (3, 1)], "only position 3"),
+        (position_splits, [], "no samples"),
     ],
 )
 def test_too_little_is_rejected(splitter, sets, words):
@@ -120,7 +103,7 @@ def test_too_little_is_rejected(splitter, sets, words):
         splitter(make_samples(sets))
 
 
-@pytest.mark.parametrize("splitter", [report_splits, leave_one_position_out, leave_one_set_out])
+@pytest.mark.parametrize("splitter", [report_splits, position_splits])
 @pytest.mark.parametrize("column", ["position", "set_number"])
 def test_a_segment_in_two_sets_is_rejected(splitter, column):
     samples = make_samples(EIGHT)

@@ -20,7 +20,7 @@ from galen_ros.goal.client import (
 )
 
 from galen_deflection.collection.commands import ErrorCode, State
-from galen_deflection.collection.plan import MOST_SETS
+from galen_deflection.collection.plan import JOINTS, MOST_SETS
 from galen_msgs.action import CollectPushes
 
 _PUSHING = (State.PUSH, State.HOLD, State.RELEASE, State.REST)
@@ -38,7 +38,7 @@ class CollectClient(GoalClient):
 
     def __init__(self, options: argparse.Namespace) -> None:
         super().__init__(options)
-        self._said: tuple[Any, ...] = ()
+        self._shown: tuple[Any, ...] = ()
 
     def make_goal(self) -> CollectPushes.Goal:
         """Return what the options ask for."""
@@ -58,10 +58,10 @@ class CollectClient(GoalClient):
         self.bar.show(feedback.message, feedback.done, feedback.total)
         # What is pushed now comes some ten times a second, and only the bar can keep up with it.
         looks = feedback.state in _PUSHING and math.isfinite(feedback.along)
-        said = (feedback.state, *feedback.wanted) if looks else (feedback.message,)
-        if said == self._said or (looks and self.bar.active):
+        shown = (feedback.state, *feedback.wanted) if looks else (feedback.message,)
+        if shown == self._shown or (looks and self.bar.active):
             return
-        self._said = said
+        self._shown = shown
         where = f" set {feedback.set}, position {feedback.position}:" if feedback.set else ""
         self.bar.line(f"[{feedback.done}/{feedback.total}]{where} {feedback.message}")
 
@@ -92,7 +92,7 @@ def parse(arguments: list[str]) -> argparse.Namespace:
         type=finite,
         default=[],
         metavar="JOINT",
-        help="five joints a position: delta x, y, z in m, roll, tilt in rad",
+        help="the arm's joints of one position after the other, m and rad",
     )
     parser.add_argument(
         "--forces-n", nargs="+", type=finite, default=[], metavar="N", help="levels of force, N"
@@ -107,8 +107,8 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     )
     add_client_options(parser, "collection")
     options = read_options(parser, arguments, name="recording's", tool="tool")
-    if len(options.positions) % 5:
-        parser.error(f"--positions has {len(options.positions)} numbers, not five a position")
+    if len(options.positions) % JOINTS:
+        parser.error(f"--positions has {len(options.positions)} numbers, not {JOINTS} a position")
     return options
 
 

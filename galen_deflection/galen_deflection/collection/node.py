@@ -11,6 +11,7 @@ import numpy as np
 from galen_model.arrays import Array
 from galen_model.errors import CalibrationFileError, GalenError, ToolNameError
 from galen_model.files.calibration_file import CalibrationFile, calibration_path, read_calibration
+from galen_model.files.json_fields import numbers
 from galen_model.rotation import quaternion_to_matrix
 from galen_ros.goal.node import ArmAction, GoalNode, RejectedGoalError, RunningGoal, named
 from galen_ros.goal.procedure import End
@@ -29,21 +30,26 @@ from galen_deflection.collection.commands import (
     Push,
     Record,
 )
-from galen_deflection.collection.folder import CollectionFolder, CollectionFolderError, summary
-from galen_deflection.collection.parameters import CollectionParameters
 from galen_deflection.collection.plan import (
+    CollectionParameters,
     CollectionPlan,
     OutOfReachError,
     PlanError,
     make_plan,
 )
 from galen_deflection.collection.procedure import CollectionProcedure
-from galen_deflection.collection.recorder import BagRecording
+from galen_deflection.collection.recorder import (
+    BagRecording,
+    CollectionFolder,
+    CollectionFolderError,
+)
 from galen_msgs.action import CollectPushes
 from galen_msgs.srv import PushTool
 
 _RECORDED = ("joint_states", "wrench_raw", "tracker/tool_pose", "tracker/base_pose")
 _NORM_TOLERANCE = 1e-3
+
+SCHEMA_VERSION = 1
 
 
 class _Goal(RunningGoal):
@@ -98,14 +104,12 @@ class CollectAction(ArmAction):
                 raise CalibrationFileError(
                     f"{path}: holds the tool '{tool.tool}', not '{request.tool}'"
                 )
-            plan = make_plan(
-                request.positions or settings.positions,
-                request.forces_n or settings.forces_n,
-                request.torques_nm or settings.torques_nm,
-                request.sets or settings.sets,
-                tool.tip_m,
-                settings.limits,
-            )
+            asked = {
+                name: tuple(getattr(request, name)) or getattr(settings, name)
+                for name in ("positions", "forces_n", "torques_nm")
+            }
+            wanted = replace(settings, **asked, sets=request.sets or settings.sets)
+            plan = make_plan(wanted, np.asarray(tool.tip_m, float))
         except ToolNameError as error:
             raise RejectedGoalError(ErrorCode.INVALID_NAME, str(error)) from error
         except CollectionFolderError as error:
@@ -286,16 +290,7 @@ class CollectAction(ArmAction):
             goal.folder.discard()
             return end
         request = goal.handle.request
-        content = summary(
-            request.name,
-            request.tool,
-            goal.plan,
-            request.push_by_service,
-            end.error_code,
-            end.error_msg,
-            end.collected,
-            goal.messages,
-        )
+        content = summary(request, goal.plan, end, goal.messages)
         try:
             goal.folder.close(content, finished=end.error_code == ErrorCode.NONE)
         except CollectionFolderError as error:
@@ -333,6 +328,36 @@ class CollectAction(ArmAction):
             "directory": goal.folder.path,
             "messages": recorded,
         }
+
+
+def summary(
+    request: CollectPushes.Goal, plan: CollectionPlan, end: Finished, messages: int
+) -> dict[str, Any]:
+    """Make the content of `collection.json`; SI units, lengths m, angles rad, loads N and N.m."""
+    collected = end.collected
+    shift = collected.shift
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "name": request.name,
+        "tool": request.tool,
+        "finished": end.error_code == ErrorCode.NONE,
+        "error": {"code": end.error_code.name, "message": end.error_msg},
+        "asked": {
+            "sets": plan.sets,
+            "positions": [numbers(row) for row in plan.positions],
+            "pushes": [numbers(push.wrench) for push in plan.pushes],
+            "push_by_service": request.push_by_service,
+        },
+        "pushes": collected.pushes,
+        "pushes_asked": plan.total,
+        "left_out": list(collected.left_out),
+        "calibration": {
+            "shift": numbers(shift) if np.all(np.isfinite(shift)) else None,
+            "holds": collected.holds,
+        },
+        "messages": messages,
+        "warnings": list(collected.warnings),
+    }
 
 
 def _worse(end: Finished, what: str) -> Finished:

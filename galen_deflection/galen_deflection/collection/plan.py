@@ -1,4 +1,4 @@
-"""What a collection is to record: positions x directions x levels, checked before the arm moves.
+"""The plan of a collection, and the node's parameters: checked before the arm moves.
 
 As in the 2019 report (section 2.3.4): several levels of force in both directions along all axes,
 at various positions, each visited twice. The axes are those of base_link.
@@ -6,20 +6,31 @@ at various positions, each visited twice. The axes are those of base_link.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from pathlib import Path
+from typing import ClassVar, NamedTuple
 
 import numpy as np
-from galen_model.arm.galen import JOINT_NAMES, JOINT_UNITS, LIMITS
-from galen_model.arm.kinematics import sensor_pose, tip_pose
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
-from galen_model.errors import GalenError, KinematicsError
-from galen_model.wrench import move_wrench
+from galen_model.errors import GalenError
+from galen_model.registration import move_wrench
+from galen_ros.goal.parameters import MotionParameters
+from galen_ros.parameters import param
 
-from galen_deflection.measurement.arm_positions import PositionSettings
+from galen_deflection.measurement.arm_positions import SAME_POSITION
 
+JOINTS = len(GALEN.joints)
 MOST_POSITIONS, MOST_LEVELS, MOST_SETS = 100, 20, 20
+
+_POSITIONS = (
+    (0.00, 0.00, 0.408, 0.0, 0.0),
+    (0.06, -0.05, 0.43, 0.7, -0.4),
+    (-0.07, 0.04, 0.37, -0.9, 0.5),
+    (0.03, 0.07, 0.40, 0.3, 0.8),
+)
+"""Those of bags/pushes."""
 
 
 class PlanError(GalenError):
@@ -30,16 +41,7 @@ class OutOfReachError(PlanError):
     """A position that the arm can't take; the message names it and the joint."""
 
 
-@dataclass(frozen=True)
-class LoadLimits:
-    """The largest force (N), and torque about the sensor's origin (N.m), that it may read."""
-
-    force_n: float
-    torque_nm: float
-
-
-@dataclass(frozen=True)
-class WantedPush:
+class WantedPush(NamedTuple):
     """A push along one axis: `axis` 0 to 5 of a wrench, `sign` +1 or -1, `level` in N or N.m."""
 
     axis: int
@@ -71,7 +73,7 @@ class WantedPush:
 
 @dataclass(frozen=True)
 class CollectionPlan:
-    """positions (p, 5), m and rad; the same pushes at each visit; `sets` visits of each."""
+    """positions (p, j), m and rad; the same pushes at each visit; `sets` visits of each."""
 
     positions: Array
     pushes: tuple[WantedPush, ...]
@@ -83,31 +85,84 @@ class CollectionPlan:
         return self.sets * len(self.positions) * len(self.pushes)
 
 
-def make_plan(
-    positions: Sequence[float] | Array,
-    forces_n: Sequence[float],
-    torques_nm: Sequence[float],
-    sets: int,
-    tip_m: Array,
-    limits: LoadLimits,
-) -> CollectionPlan:
-    """Check what is asked for; positions are rows of five joints, flat or not.
+@dataclass(frozen=True)
+class CollectionParameters(MotionParameters):
+    """Parameters of collection_node."""
+
+    tools_dir: str = param("~/.ros/galen/tools", "directory of the tools' files; `~` is expanded")
+    recordings_dir: str = param(
+        "~/.ros/galen/recordings", "directory in which the recordings are made; `~` is expanded"
+    )
+
+    positions: tuple[float, ...] = param(
+        [value for joints in _POSITIONS for value in joints],
+        "the arm's joints of one position after the other, m and rad; the first position is also"
+        " that of the calibration sets",
+    )
+    sets: int = param(2, "how often each position is visited", minimum=1, maximum=MOST_SETS)
+    forces_n: tuple[float, ...] = param(
+        [3.0, 6.0, 10.0], "levels of force to both sides along each axis of base_link, N"
+    )
+    torques_nm: tuple[float, ...] = param(
+        [], "levels of torque about the tip to both sides about each axis of base_link, N·m"
+    )
+
+    untouched_s: float = param(
+        3.0, "the tool is left alone for so long at the start of each set", 0.6, 60.0
+    )
+    untouched_timeout_s: float = param(
+        60.0, "a tool that is not left alone, or a marker not seen, for so long ends it", 1.0, 3600
+    )
+    level_tolerance: float = param(
+        0.15, "a push is as asked within this share of its level", 0.01, 1.0
+    )
+    aside_share: float = param(
+        0.3, "most of it that may go aside of its axis, as a share of its level", 0.01, 10.0
+    )
+    hold_s: float = param(0.5, "a push is held for so long", 0.05, 60.0)
+    rest_s: float = param(0.5, "the tool is left alone for so long after a push", 0.1, 60.0)
+    push_timeout_s: float = param(20.0, "a person has so long for a push", 0.5, 3600.0)
+    push_retries: int = param(1, "how often a push that was not as asked is asked for again", 0, 10)
+
+    max_force_n: float = param(20.0, "more force, at any time, stops the arm, N", 0.1, 500.0)
+    max_torque_nm: float = param(
+        2.9, "more torque about the sensor's origin stops the arm, N·m", 0.01, 100.0
+    )
+    shift_tolerance_m: float = param(
+        0.0001, "largest way of the tip between the calibration sets, m", 1e-6, 0.1
+    )
+    shift_tolerance_rad: float = param(0.0003, "and its largest turn, rad", 1e-6, 0.5)
+
+    # Without contact the mean wrench of 0.1 s stays this near to itself, N and N.m.
+    untouched_tolerance: ClassVar[Array] = np.array([0.2] * 3 + [0.02] * 3)
+    # A marker that isn't seen for longer spoils a push or a start, s.
+    max_marker_gap_s: ClassVar[float] = 0.2
+    # A push that comes to this share of its level is asked for again.
+    overload_share: ClassVar[float] = 1.6
+    # Released: below this force and torque about the tip, N and N.m.
+    released: ClassVar[tuple[float, float]] = (0.15, 0.02)
+    release_timeout_s: ClassVar[float] = 10.0
+    # So many pushes left out in a row end it.
+    max_left_out_in_a_row: ClassVar[int] = 4
+    # In which `push_tool` shall rise and fall.
+    push_edge_s: ClassVar[float] = 0.3
+
+    def validate(self) -> None:
+        """Reject positions or levels that can't be; raises PlanError."""
+        make_plan(self, np.zeros(3))
+
+    def folder(self, name: str) -> Path:
+        """Return one of the two directories, by its parameter's name."""
+        return Path(getattr(self, name)).expanduser()
+
+
+def make_plan(settings: CollectionParameters, tip_m: Array) -> CollectionPlan:
+    """Check what is asked for; tip_m (3,) in ft_sensor.
 
     Raises OutOfReachError, and PlanError for anything else that can't be done.
     """
-    flat = np.asarray(positions, dtype=float).reshape(-1)
-    if not len(flat) or len(flat) % 5 or len(flat) > 5 * MOST_POSITIONS:
-        raise PlanError(
-            f"positions holds {len(flat)} numbers: five joints a position are wanted, of 1 to"
-            f" {MOST_POSITIONS} positions"
-        )
-    rows = flat.reshape(-1, 5)
-    for number, joints in enumerate(rows, start=1):
-        _check_reach(number, joints)
-    same = PositionSettings().tolerance
-    for a, b in combinations(range(len(rows)), 2):
-        if np.all(np.abs(rows[a] - rows[b]) <= same):
-            raise PlanError(f"positions {a + 1} and {b + 1} are the same place")
+    rows = _checked_positions(np.asarray(settings.positions, dtype=float).reshape(-1))
+    sets = settings.sets
     if not 1 <= sets <= MOST_SETS:
         raise PlanError(f"sets is {sets}: it must be 1 to {MOST_SETS}")
     if sets > 1 and len(rows) == 1:
@@ -115,74 +170,57 @@ def make_plan(
             "two sets at a single position can't be distinguished: the arm must go elsewhere"
             " between"
         )
-    for name, levels in (("forces_n", forces_n), ("torques_nm", torques_nm)):
+    pushes: list[WantedPush] = []
+    for first, name, levels in (
+        (0, "forces_n", settings.forces_n),
+        (3, "torques_nm", settings.torques_nm),
+    ):
         if len(levels) > MOST_LEVELS or not all(np.isfinite(v) and v > 0.0 for v in levels):
             shown = ", ".join(f"{value:g}" for value in levels)
             raise PlanError(f"{name} is [{shown}]: at most {MOST_LEVELS} positive numbers")
-    pushes = tuple(
-        WantedPush(first + axis, sign, float(level))
-        for first, levels in ((0, forces_n), (3, torques_nm))
-        for axis in range(3)
-        for sign in (1, -1)
-        for level in levels
-    )
+        pushes += [
+            WantedPush(first + axis, sign, float(level))
+            for axis in range(3)
+            for sign in (1, -1)
+            for level in levels
+        ]
     if not pushes:
         raise PlanError("forces_n and torques_nm are both empty: there is nothing to push")
     for number, joints in enumerate(rows, start=1):
         for push in pushes:
-            _check_load(number, joints, push, tip_m, limits)
-    return CollectionPlan(rows, pushes, sets)
+            _check_load(number, joints, push, tip_m, settings)
+    return CollectionPlan(rows, tuple(pushes), sets)
 
 
-def _check_reach(number: int, joints: Array) -> None:
-    for name, unit, value, low, high in zip(
-        JOINT_NAMES, JOINT_UNITS, joints, LIMITS.lower, LIMITS.upper, strict=True
-    ):
-        if not low <= value <= high:  # NaN too
-            raise OutOfReachError(
-                f"position {number}: {name} = {value:g} {unit} is outside its limits,"
-                f" {low:g} ... {high:g} {unit}"
-            )
-    try:
-        # Between two such positions it is well too: a carriage's coordinate is convex in the
-        # platform's position, and in the joints' box it has room to spare downwards.
-        GALEN.delta.carriages(joints[:3])
-    except KinematicsError as error:
-        raise OutOfReachError(f"position {number}: {error}") from None
+def _checked_positions(flat: Array) -> Array:
+    if not len(flat) or len(flat) % JOINTS or len(flat) > JOINTS * MOST_POSITIONS:
+        raise PlanError(
+            f"positions holds {len(flat)} numbers: {JOINTS} joints a position are wanted, of 1 to"
+            f" {MOST_POSITIONS} positions"
+        )
+    rows = flat.reshape(-1, JOINTS)
+    for number, joints in enumerate(rows, start=1):
+        # Between two such positions the carriages are well too: a carriage's coordinate is convex
+        # in the platform's position, and in the joints' box it has room to spare downwards.
+        if fault := GALEN.limit_fault(joints):
+            raise OutOfReachError(f"position {number}: {fault}")
+    for a, b in combinations(range(len(rows)), 2):
+        if np.all(np.abs(rows[a] - rows[b]) <= SAME_POSITION):
+            raise PlanError(f"positions {a + 1} and {b + 1} are the same place")
+    return rows
 
 
 def _check_load(
-    number: int, joints: Array, push: WantedPush, tip_m: Array, limits: LoadLimits
+    number: int, joints: Array, push: WantedPush, tip_m: Array, settings: CollectionParameters
 ) -> None:
     """The sensor must bear it."""
-    read = to_tip(joints, tip_m).inverse_of(push.wrench)
+    rotation, tip = GALEN.tip_pose(joints, tip_m)
+    _, origin = GALEN.sensor_pose(joints)
+    read = move_wrench(push.wrench, rotation.T, rotation.T @ (tip - origin))
     force, torque = float(np.linalg.norm(read[:3])), float(np.linalg.norm(read[3:]))
-    if force > limits.force_n or torque > limits.torque_nm:
+    if force > settings.max_force_n or torque > settings.max_torque_nm:
         raise PlanError(
             f"position {number}: {push} would be {force:.2f} N and {torque:.2f} N·m at the sensor,"
-            f" more than max_force_n = {limits.force_n:g} and max_torque_nm ="
-            f" {limits.torque_nm:g} allow"
+            f" more than max_force_n = {settings.max_force_n:g} and max_torque_nm ="
+            f" {settings.max_torque_nm:g} allow"
         )
-
-
-@dataclass(frozen=True)
-class ToTip:
-    """Takes wrenches from ft_sensor to the tip in base_link, and back, where the arm stands."""
-
-    rotation: Array
-    lever_m: Array
-
-    def __call__(self, wrench: Array) -> Array:
-        """(..., 6) in ft_sensor to (..., 6) about the tip along base_link's axes."""
-        return move_wrench(wrench, self.rotation, -self.lever_m)
-
-    def inverse_of(self, at_tip: Array) -> Array:
-        """The wrench (..., 6) in ft_sensor that is `at_tip` there."""
-        return move_wrench(at_tip, self.rotation.T, self.rotation.T @ self.lever_m)
-
-
-def to_tip(joints: Array, tip_m: Array) -> ToTip:
-    """For joints (5,), m and rad, and tip_m (3,) in ft_sensor."""
-    rotation, origin = sensor_pose(joints)
-    _, tip = tip_pose(joints, tip_m)
-    return ToTip(rotation, tip - origin)

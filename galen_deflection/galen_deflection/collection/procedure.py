@@ -19,7 +19,7 @@ from enum import IntEnum
 from functools import partial
 
 import numpy as np
-from galen_model.arm.galen import JOINT_NAMES, JOINT_UNITS
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_ros.goal.arrival import NS, StampClock
 from galen_ros.goal.procedure import JOINTS, GoalProcedure
@@ -34,15 +34,15 @@ from galen_deflection.collection.commands import (
     Record,
     State,
 )
-from galen_deflection.collection.no_contact import (
+from galen_deflection.collection.plan import CollectionParameters, CollectionPlan, WantedPush
+from galen_deflection.collection.watches import (
     NoContact,
     NoContactWatch,
+    PushWatch,
     collection_shift,
     shift_sentence,
 )
-from galen_deflection.collection.parameters import CollectionParameters
-from galen_deflection.collection.plan import CollectionPlan, ToTip, WantedPush, to_tip
-from galen_deflection.collection.push import PushWatch
+from galen_deflection.models.springs import Springs
 
 CALIBRATION_BAGS = ("calibration_1", "calibration_2")
 PUSH_BAG = "push"
@@ -82,7 +82,7 @@ class CollectionProcedure(GoalProcedure):
         self._no_contact_since_ns = 0
         self._calibrations: list[NoContact] = []
         self._here: NoContact | None = None
-        self._to_tip: ToTip | None = None
+        self._springs = Springs(tip_m)
         self._window: deque[tuple[int, Array]] = deque()
         self._watch: PushWatch | None = None
         self._push_number = 0
@@ -96,7 +96,7 @@ class CollectionProcedure(GoalProcedure):
         self._holds = False
         self._not_before_ns = 0
         self._last_look = 0
-        self._said_s = 0.0
+        self._reported_s = 0.0
         self._over_limit = 0
         self._seen_jumps = 0
         self._tool_seen_s = 0.0
@@ -247,17 +247,13 @@ class CollectionProcedure(GoalProcedure):
 
     def _begin_pushes(self, found: NoContact) -> None:
         self._here = found
-        self._to_tip = to_tip(found.joints, self._tip_m)
         self._push_number = self._tries = 0
         self._ask()
 
     def _compare(self) -> None:
-        settings = self._settings
         first, second = self._calibrations
         self._shift = collection_shift(first, second, self._tip_m)
-        warning = shift_sentence(
-            first, second, self._shift, settings.shift_tolerance_m, settings.shift_tolerance_rad
-        )
+        warning = shift_sentence(first, second, self._shift, self._settings)
         self._holds = not warning
         if warning:
             self._warnings.append(warning)
@@ -299,7 +295,7 @@ class CollectionProcedure(GoalProcedure):
         timeout_s = settings.push_timeout_s
         if self._by_service:
             timeout_s = (
-                settings.push_rise_s + settings.hold_s + _SERVICE_SPARE_S + _SERVICE_PATIENCE_S
+                settings.push_edge_s + settings.hold_s + _SERVICE_SPARE_S + _SERVICE_PATIENCE_S
             )
         self._watch = PushWatch(self._wanted, settings, timeout_s, self._time_s)
         self._window.clear()
@@ -312,8 +308,9 @@ class CollectionProcedure(GoalProcedure):
             return
         self._last_look = stamp_ns // _LOOK_NS
         watch = self._watch
-        assert watch is not None and self._here is not None and self._to_tip is not None
-        load = self._to_tip(np.mean([w for _, w in self._window], axis=0) - self._here.offset)
+        assert watch is not None and self._here is not None
+        wrench = np.mean([w for _, w in self._window], axis=0) - self._here.offset
+        load = self._springs.at_tip(self._here.joints[None], wrench[None])[0]
         asked, before = watch.asked, watch.state
         self._check_marker(self._time_s - self._tool_seen_s - _MARKER_PATIENCE_S)
         # A push that was spoiled before it was felt comes nevertheless: that isn't let go of yet.
@@ -326,7 +323,7 @@ class CollectionProcedure(GoalProcedure):
             return
         if watch.asked and not asked and self._by_service:
             self._push_by_service()
-        if watch.state != before or self._time_s - self._said_s >= _FEEDBACK_S:
+        if watch.state != before or self._time_s - self._reported_s >= _FEEDBACK_S:
             self._report_push(watch, load)
 
     def _push_by_service(self) -> None:
@@ -335,9 +332,9 @@ class CollectionProcedure(GoalProcedure):
         self._waited_s = 0.0
         push = Push(
             self._wanted.wrench,
-            settings.push_rise_s,
+            settings.push_edge_s,
             settings.hold_s + _SERVICE_SPARE_S,
-            settings.push_fall_s,
+            settings.push_edge_s,
         )
         self._pushes_until_s = self._time_s + push.rise_s + push.hold_s + push.fall_s
         self._commands.append(push)
@@ -379,8 +376,8 @@ class CollectionProcedure(GoalProcedure):
             self.fail(ErrorCode.BAD_INPUT, f"{_WRENCH} holds values that are not finite")
             return
         force, torque = float(np.linalg.norm(wrench[:3])), float(np.linalg.norm(wrench[3:]))
-        limits = self._settings.limits
-        if force <= limits.force_n and torque <= limits.torque_nm:
+        most_n, most_nm = self._settings.max_force_n, self._settings.max_torque_nm
+        if force <= most_n and torque <= most_nm:
             self._over_limit = 0
             return
         self._over_limit += 1
@@ -388,7 +385,7 @@ class CollectionProcedure(GoalProcedure):
             self.fail(
                 ErrorCode.OVERLOAD,
                 f"{_WRENCH} reads {force:.1f} N and {torque:.2f} N·m; the limits are"
-                f" {limits.force_n:g} N and {limits.torque_nm:g} N·m",
+                f" {most_n:g} N and {most_nm:g} N·m",
             )
 
     def _check_stamps(self) -> None:
@@ -408,8 +405,8 @@ class CollectionProcedure(GoalProcedure):
         if np.any(away):
             k = int(np.argmax(away))
             self._spoil(
-                f"{JOINT_NAMES[k]} moved by {off[k]:+.2g} {JOINT_UNITS[k]}: the arm must hold its"
-                " position (no admittance mode)"
+                f"{GALEN.joint_names[k]} moved by {off[k]:+.2g} {GALEN.units[k]}: the arm must"
+                " hold its position (no admittance mode)"
             )
 
     def _check_marker(self, lost_s: float) -> None:
@@ -435,7 +432,7 @@ class CollectionProcedure(GoalProcedure):
         )
 
     def _report_push(self, watch: PushWatch, load: Array) -> None:
-        self._said_s = self._time_s
+        self._reported_s = self._time_s
         wanted = watch.wanted
         now = f"{_amount(watch.along, wanted)} now, {_amount(watch.aside, wanted)} aside"
         message = {

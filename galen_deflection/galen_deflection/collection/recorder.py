@@ -1,19 +1,35 @@
-"""Records topics into a bag beside a node that is busy, in a thread and executor of its own.
+"""Where a collection is recorded: its folder, and bags beside a node that is busy.
 
-The recorder takes messages in batches from its subscriptions' queues, which only an executor that
-respects callback groups leaves alone; and it must not wait for what the node has to do.
+    <recordings_dir>/<name>/push/, calibration_1/, calibration_2/    rosbag2 directories (MCAP)
+    <recordings_dir>/<name>/tool.json                                the tool's file as it was
+    <recordings_dir>/<name>/collection.json                          what was asked and what came
+
+It grows as `<name>.unfinished` (a name that no collection can have) and is renamed in one step at
+the end. What a canceled, failed or killed collection has recorded until then stays there and can be
+read; one that has recorded nothing leaves nothing.
+
+The recorder has a thread and executor of its own: it takes messages in batches from its
+subscriptions' queues, which only an executor that respects callback groups leaves alone; and it
+must not wait for the node's work.
 """
 
 from __future__ import annotations
 
+import json
+import os
+import shutil
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from pathlib import Path
 from queue import Empty, SimpleQueue
+from typing import Any
 
 from galen_bags.formats.writer import GrowingBagWriter
 from galen_bags.recorder import RecorderNode
+from galen_model.errors import GalenError
+from galen_model.files.atomic_file import write_whole
+from galen_model.files.calibration_file import CalibrationFile, check_tool_name, write_calibration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -21,6 +37,68 @@ from rclpy.parameter import Parameter
 from galen_bags import BagError
 
 _SPIN_S = 0.05
+TOOL_FILE, SUMMARY_FILE = "tool.json", "collection.json"
+_MOST_UNFINISHED = 1000
+
+
+class CollectionFolderError(GalenError):
+    """A folder that is there already, or can't be written; the message names it."""
+
+
+class CollectionFolder:
+    """One collection's folder, from its making to its name."""
+
+    def __init__(self, recordings_dir: Path, name: str) -> None:
+        """Only checks; raises ToolNameError and CollectionFolderError."""
+        self.final = recordings_dir / check_tool_name(name, "recording's")
+        self._reject_existing()
+        self.path = self.final
+
+    def make(self, tool: CalibrationFile) -> None:
+        """Make the unfinished folder with the tool's file in it; raises a GalenError."""
+        try:
+            self.final.parent.mkdir(parents=True, exist_ok=True)
+            self.path = self._make_unfinished()
+        except OSError as error:
+            raise CollectionFolderError(f"{self.final}: can't be made: {error}") from error
+        write_calibration(self.path / TOOL_FILE, tool)
+
+    def close(self, summary: Mapping[str, Any], *, finished: bool) -> Path:
+        """Write the summary and return the folder, under its own name if it is finished.
+
+        Raises CollectionFolderError; all that was recorded is then in `path`.
+        """
+        text = json.dumps(summary, indent=2) + "\n"
+        try:
+            write_whole(self.path / SUMMARY_FILE, text)
+            if finished:
+                self._reject_existing()  # one made meanwhile is not written over
+                self.path.rename(self.final)
+                self.path = self.final
+        except OSError as error:
+            raise CollectionFolderError(f"{self.path}: can't be written: {error}") from error
+        return self.path
+
+    def discard(self) -> None:
+        """Remove it again: nothing was recorded."""
+        if self.path != self.final:
+            shutil.rmtree(self.path, ignore_errors=True)
+
+    def _make_unfinished(self) -> Path:
+        for number in range(1, _MOST_UNFINISHED):
+            path = self.final.with_name(
+                f"{self.final.name}.unfinished" + (f"-{number}" if number > 1 else "")
+            )
+            try:
+                path.mkdir()
+            except FileExistsError:
+                continue
+            return path
+        raise CollectionFolderError(f"{self.final}.unfinished: there are too many of them")
+
+    def _reject_existing(self) -> None:
+        if os.path.lexists(self.final):
+            raise CollectionFolderError(f"{self.final}: is there already, and is not written over")
 
 
 class BagRecording:
@@ -65,7 +143,7 @@ class BagRecording:
 
     @property
     def error(self) -> str:
-        """Why it stopped by itself; empty while it is well."""
+        """Why it stopped by itself; empty while it runs."""
         return self._error
 
     @property

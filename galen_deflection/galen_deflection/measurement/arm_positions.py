@@ -2,32 +2,32 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from galen_bags.arrays.timeline import Timeline
-from galen_model.arm.galen import SENSOR
+from galen_model.arm.galen import GALEN, SENSOR
 from galen_model.arrays import Array, runs
-from galen_model.rest.segments import JointRest, rest_by_joints
+from galen_model.rest.segments import rest_by_joints
 
+SAME_POSITION = np.array([2e-3 if unit == "m" else 1e-2 for unit in GALEN.units])
+"""m and rad: joints this near are the same position."""
+
+WINDOW_S = 0.1
+"""Without contact, the wrench's mean over this window stays within SIGMAS of its noise."""
+
+SIGMAS = 6.0
+
+_MIN_DURATION_S = 0.5  # of the phase before the first push
+_MARGIN_S = 0.1  # cut off before the wrench leaves the limits
+_ZERO_LOAD_SHARE = 0.01  # of the visit's largest wrench: between pushes, the limits are no less
+_MAX_OFFSET = np.array([0.5] * 3 + [0.05] * 3)  # that the tool's file may be wrong by, N and N.m
 _NS = 1e9
 _MAD_TO_STD = 1.4826
 _LOWER_QUARTILE = 0.3186  # of a normal deviate's absolute value
 
 
-@dataclass(frozen=True)
-class PositionSettings:
-    """When the arm stands, and what is the same position.
-
-    tolerance (5,): joints this near, m and rad, are the same position.
-    """
-
-    still: JointRest = field(default_factory=JointRest)
-    tolerance: Array = field(default_factory=lambda: np.array([2e-3] * 3 + [1e-2] * 2))
-
-
-@dataclass(frozen=True)
-class Stay:
+class Stay(NamedTuple):
     """The arm stood at a position from start_ns to end_ns; `visit` counts the times it came."""
 
     start_ns: int
@@ -36,23 +36,18 @@ class Stay:
     visit: int
 
 
-def find_stays(
-    line: Timeline, joints: Array, settings: PositionSettings | None = None
-) -> tuple[list[Stay], Array]:
-    """Where the arm stood, in order, and the joints (p, 5) of each position, first come first.
+def find_stays(line: Timeline, joints: Array) -> tuple[list[Stay], Array]:
+    """Return where the arm stood, in order, and the joints (p, j) of each position.
 
-    joints (n, 5) belong to the line's samples. A stay at the place of the one before is the same
+    joints (n, j) belong to the line's samples. A stay at the place of the one before is the same
     visit.
     """
-    settings = settings or PositionSettings()
     positions: list[Array] = []
     visits: list[int] = []
     stays: list[Stay] = []
-    for rows in rest_by_joints(line.time_ns, joints, settings.still):
+    for rows in rest_by_joints(line.time_ns, joints):
         here = np.nanmedian(joints[rows], axis=0)
-        near = [
-            k for k, p in enumerate(positions) if np.all(np.abs(p - here) <= settings.tolerance)
-        ]
+        near = [k for k, p in enumerate(positions) if np.all(np.abs(p - here) <= SAME_POSITION)]
         if near:
             position = near[0]
         else:
@@ -63,34 +58,15 @@ def find_stays(
             visits[position] += 1
         first, last = line.time_ns[rows.start], line.time_ns[rows.stop - 1]
         stays.append(Stay(int(first), int(last), position, visits[position]))
-    return stays, np.array(positions).reshape(-1, 5)
+    return stays, np.array(positions).reshape(-1, joints.shape[1])
 
 
-@dataclass(frozen=True)
-class UnloadedSettings:
-    """When there is no contact.
-
-    The wrench's mean over `window_s` must stay within `sigmas` of its noise of what it was at the
-    start of the visit, for `min_duration_s` at least; `margin_s` is cut off before it leaves.
-    Between pushes the limit is at least `zero_load_share` of the visit's largest wrench. What the
-    wrench is without load, the tool's file may tell wrongly, by no more than `max_offset` (6,).
-    """
-
-    window_s: float = 0.1
-    sigmas: float = 6.0
-    min_duration_s: float = 0.5
-    margin_s: float = 0.1
-    zero_load_share: float = 0.01
-    max_offset: Array = field(default_factory=lambda: np.array([0.5] * 3 + [0.05] * 3))
-
-
-@dataclass(frozen=True)
-class LoadPhases:
+class LoadPhases(NamedTuple):
     """Of one visit's wrenches.
 
-    first: from when to when it is untouched before its first push (time_ns), None if it is not;
-    zero_load: stretches between pushes without contact, in which a deflection may be
-    left by hysteresis. offset (6,): what the wrench is in `first`; why_none: a reason in words.
+    first: from when to when there is no contact before its first push (time_ns), None if there
+    never is; zero_load: phases between pushes without contact, in which hysteresis may leave a
+    residual deflection. offset (6,): the wrench in `first`; why_none: a reason in words.
     """
 
     first: tuple[int, int] | None
@@ -100,7 +76,7 @@ class LoadPhases:
 
 
 def wrench_noise(wrenches: Array) -> Array:
-    """Standard deviation (6,) of one sample's white noise, at least a quantum of the sensor.
+    """Return the standard deviation (6,) of one sample's white noise, at least a quantum.
 
     From second differences, which smooth pushes hardly change.
     """
@@ -113,14 +89,14 @@ def wrench_noise(wrenches: Array) -> Array:
     return np.maximum(np.sqrt(np.nanmean(small**2, axis=0) / 6.0), SENSOR.quantum)
 
 
-def noise_of_mean(time_ns: np.ndarray, wrenches: Array, window_s: float) -> Array:
-    """Standard deviation (6,) of the mean over a window, of white noise or a filtered sensor's.
+def noise_of_mean(time_ns: np.ndarray, wrenches: Array) -> Array:
+    """Return the standard deviation (6,) of the mean over WINDOW_S, white noise or filtered.
 
     At least that of white noise. More comes from second differences of windows' means: of their
     absolute values the lower quartile, because many windows are inside of pushes; where half of
     them are, this is too large by a factor of two.
     """
-    width = _samples(time_ns, window_s)
+    width = _window_samples(time_ns)
     white = wrench_noise(wrenches) / np.sqrt(width)
     count = len(wrenches) // width
     if count < 12:
@@ -130,19 +106,17 @@ def noise_of_mean(time_ns: np.ndarray, wrenches: Array, window_s: float) -> Arra
     return np.maximum(white, np.quantile(steps, 0.25, axis=0) / _LOWER_QUARTILE / np.sqrt(6.0))
 
 
-def load_phases(
-    time_ns: np.ndarray, wrenches: Array, noise: Array, settings: UnloadedSettings
-) -> LoadPhases:
+def load_phases(time_ns: np.ndarray, wrenches: Array, noise: Array) -> LoadPhases:
     """Find the phases without contact in one visit's wrenches (n, 6) at time_ns (n,).
 
-    noise (6,): of a mean over the settings' window (`noise_of_mean`).
+    noise (6,): of a mean over the window (`noise_of_mean`).
     """
     nothing = np.full(6, np.nan)
     if len(time_ns) < 3:
         return LoadPhases(None, [], nothing, "there are no wrenches")
-    mean = _moving_mean(wrenches, _samples(time_ns, settings.window_s))
-    limit = settings.sigmas * noise
-    start_rows = int(np.searchsorted(time_ns, time_ns[0] + round(settings.min_duration_s * _NS)))
+    mean = _moving_mean(wrenches, _window_samples(time_ns))
+    limit = SIGMAS * noise
+    start_rows = int(np.searchsorted(time_ns, time_ns[0] + round(_MIN_DURATION_S * _NS)))
     stop = start_rows
     for _ in range(3):
         offset = wrenches[:stop].mean(axis=0)
@@ -150,37 +124,37 @@ def load_phases(
         stop = int(np.argmax(away)) if away.any() else len(time_ns)
         if stop < start_rows:
             return LoadPhases(None, [], nothing, "the wrench changes from the start")
-    if np.any(np.abs(offset) > settings.max_offset):
+    if np.any(np.abs(offset) > _MAX_OFFSET):
         force, torque = np.linalg.norm(offset[:3]), 1e3 * np.linalg.norm(offset[3:])
         return LoadPhases(
             None, [], nothing, f"it begins under load ({force:.2f} N, {torque:.0f} mN·m)"
         )
-    margin_ns = round(settings.margin_s * _NS)
+    margin_ns = round(_MARGIN_S * _NS)
     end_ns = int(time_ns[stop - 1]) - (margin_ns if stop < len(time_ns) else 0)
-    if end_ns - time_ns[0] < settings.min_duration_s * _NS:
+    if end_ns - time_ns[0] < _MIN_DURATION_S * _NS:
         return LoadPhases(
-            None, [], nothing, f"it is untouched for less than {settings.min_duration_s:g} s"
+            None, [], nothing, f"it is without contact for less than {_MIN_DURATION_S:g} s"
         )
     load = mean - offset
     largest = [np.max(np.linalg.norm(load[:, k], axis=1)) for k in (slice(0, 3), slice(3, 6))]
-    limit = np.maximum(limit, settings.zero_load_share * np.repeat(largest, 3))
+    limit = np.maximum(limit, _ZERO_LOAD_SHARE * np.repeat(largest, 3))
     free = np.all(np.abs(load) <= limit, axis=1)
     free[:stop] = False
-    stretches = [
+    phases = [
         (int(time_ns[a]) + margin_ns // 2, int(time_ns[b - 1]) - margin_ns // 2)
         for a, b in runs(free)
     ]
     return LoadPhases(
         (int(time_ns[0]), end_ns),
-        [(a, b) for a, b in stretches if b - a >= settings.window_s * _NS / 2],
+        [(a, b) for a, b in phases if b - a >= WINDOW_S * _NS / 2],
         offset,
     )
 
 
-def _samples(time_ns: np.ndarray, window_s: float) -> int:
-    """How many a window holds, at least one."""
-    period_s = float(np.median(np.diff(time_ns))) / _NS if len(time_ns) > 1 else window_s
-    return max(1, round(window_s / period_s))
+def _window_samples(time_ns: np.ndarray) -> int:
+    """How many samples the window holds, at least one."""
+    period_s = float(np.median(np.diff(time_ns))) / _NS if len(time_ns) > 1 else WINDOW_S
+    return max(1, round(WINDOW_S / period_s))
 
 
 def _moving_mean(values: Array, width: int) -> Array:

@@ -6,20 +6,18 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from galen_bags.arrays.arm_recording import ArmReader, ArmTopics, join_samples
-from galen_bags.arrays.messages import Samples
+from galen_bags.arrays.arm_recording import ArmReader, Samples, join_samples
 from galen_bags.arrays.timeline import Timeline, interpolated, lay_out, stamp_sentences
 from galen_bags.formats.bag import Bag
-from galen_model.arm.galen import JOINT_NAMES, SENSOR
+from galen_model.arm.galen import GALEN, SENSOR
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.prediction import Prediction
 from galen_ros.stream.samples import joint_jump
 
-from galen_deflection.errors import PushRecordingError
+from galen_deflection.errors import DeflectionError
 
-_JOINTS = len(JOINT_NAMES)
-_ANGLES = slice(3, 5)
+_JOINTS = len(GALEN.joints)
 # The live node's `max_joint_age_s`: joints are not interpolated over more.
 _MAX_JOINT_GAP_S = 0.05
 # Poses at which a cable's pull is computed at once.
@@ -28,7 +26,7 @@ _CABLE_ROWS = 2048
 
 @dataclass(frozen=True)
 class ArmTrack:
-    """joints (n, 5) m and rad, wrenches (m, 6) compensated, N and N.m, with their lines of time.
+    """joints (n, j) m and rad, wrenches (m, 6) compensated, N and N.m, with their lines of time.
 
     start_ns: the first stamp; problems: sentences, with times in s after it.
     """
@@ -46,17 +44,16 @@ class ArmTrack:
 def read_arm_track(
     bag: Bag,
     tool: CalibrationFile,
-    topics: ArmTopics,
     *,
     jump_s: float,
     on_progress: Callable[[int, int | None], None] | None = None,
 ) -> ArmTrack:
     """Compensate a bag's wrenches as the live node does, at the joints of their stamps.
 
-    Readings beyond the sensor's range are left out. Raises BagError, and PushRecordingError where
+    Readings beyond the sensor's range are left out. Raises BagError, and DeflectionError where
     a joint lacks or no wrench can be compensated.
     """
-    reader = ArmReader(bag, topics)
+    reader = ArmReader(bag)
     total, done = reader.message_count, 0
     blocks = []
     for block in reader.blocks():
@@ -65,7 +62,7 @@ def read_arm_track(
         if on_progress is not None:
             on_progress(done, total)
     if not blocks:
-        raise PushRecordingError(f"{bag.path}: it holds no message of the arm")
+        raise DeflectionError(f"{bag.path}: it holds no message of the arm")
     joints = join_samples([block.joints for block in blocks], 2 * _JOINTS)
     readings = join_samples([block.wrenches for block in blocks], 6)
     joint_line = lay_out(
@@ -76,10 +73,12 @@ def read_arm_track(
     )
     positions = joints.values[joint_line.row, :_JOINTS]
     lacking = [
-        name for name, k in zip(JOINT_NAMES, positions.T, strict=True) if not np.isfinite(k).any()
+        name
+        for name, k in zip(GALEN.joint_names, positions.T, strict=True)
+        if not np.isfinite(k).any()
     ]
     if lacking:
-        raise PushRecordingError(f"{bag.path}: {reader.joint_states} lacks {', '.join(lacking)}")
+        raise DeflectionError(f"{bag.path}: {reader.joint_states} lacks {', '.join(lacking)}")
     wrench, rejected = _compensated(tool, joint_line, positions, wrench_line, readings)
 
     firsts = [int(line.time_ns[0]) for line in (joint_line, wrench_line) if len(line)]
@@ -93,7 +92,7 @@ def read_arm_track(
     problems += [f"{reader.wrench_raw}: {sentence}" for sentence in rejected]
     good = np.asarray(np.isfinite(wrench).all(axis=1))
     if not good.any():
-        raise PushRecordingError(
+        raise DeflectionError(
             f"{bag.path}: no wrench could be compensated" + "".join(f"; {p}" for p in problems)
         )
     return ArmTrack(
@@ -118,10 +117,11 @@ def _compensated(
     """Wrenches (n, 6) on their line, NaN where there is none, and the reasons as sentences."""
     raw = readings.values[wrench_line.row]
     cable = tool.cable
-    needed = joints[:, _ANGLES] if cable is None else joints
+    angles = GALEN.angles(joints)
+    needed = angles if cable is None else joints
     jumped = np.zeros(len(joints), dtype=bool)
-    steps = np.abs(np.diff(joints[:, _ANGLES], axis=0))
-    jumped[1:] = joint_jump(np.diff(joint_line.time_ns), np.abs(np.nan_to_num(steps)).max(axis=1))
+    steps = np.abs(np.nan_to_num(np.diff(angles, axis=0)))
+    jumped[1:] = joint_jump(np.diff(joint_line.time_ns), steps.max(axis=1))
     needed = np.where(jumped[:, None], np.nan, needed)
     at, known, shift = interpolated(joint_line, needed, wrench_line.time_ns, _MAX_JOINT_GAP_S)
     known &= shift == wrench_line.shift_ns
@@ -161,8 +161,8 @@ def _compensated(
                 for first in range(0, len(at), _CABLE_ROWS)
             ]
         )
-    roll, tilt = at[:, -2], at[:, -1]
-    wrench[used] = Prediction(tool).compensate(reading, roll, tilt)
+        at = GALEN.angles(at)
+    wrench[used] = Prediction(tool).compensate(reading, at)
     return wrench, sentences
 
 

@@ -8,14 +8,14 @@ as the unknown pose of base_link in the marker does.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from galen_bags.arrays.marker_tracks import MarkerTrack
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_isf
-from galen_model.registration.rigid import Transform, mean_pose
+from galen_model.registration import Transform, mean_pose
 
 _LEAST_SAMPLES = 20
 _FALSE_MOVES_A_RECORDING = 1e-6
@@ -27,22 +27,20 @@ _MOST_MOVES = 20
 _BLOCK = 15
 
 
-@dataclass(frozen=True)
-class BaseStand:
+class BaseStand(NamedTuple):
     """The base's marker while it stood: from start_ns to before end_ns.
 
-    pose: mean in `tracker`; std (6,): of one sample, m and rad; samples: in the mean.
+    pose: mean in `tracker`; std (6,): of one sample, m and rad.
     """
 
     start_ns: int
     end_ns: int
     pose: Transform
     std: Array
-    samples: int
 
 
 def base_stands(track: MarkerTrack, start_ns: int) -> tuple[list[BaseStand], list[str]]:
-    """Where the marker stood, one after the other, and sentences about its moves between.
+    """Return where the marker stood, one after the other, and sentences about its moves.
 
     Moves are found by splitting at the largest step of the means on both sides, in units of the
     noise, for as long as it is larger than chance makes it anywhere in the recording (binary
@@ -61,18 +59,18 @@ def base_stands(track: MarkerTrack, start_ns: int) -> tuple[list[BaseStand], lis
         part = mean_pose(track.poses[first:stop])
         begin = int(time_ns[first]) if number else -(1 << 62)
         end = int(time_ns[stop]) if stop < len(track) else 1 << 62
-        stands.append(BaseStand(begin, end, part.pose, part.std, int(part.used.sum())))
-    said = []
+        stands.append(BaseStand(begin, end, part.pose, part.std))
+    moves = []
     for before, after in pairwise(stands):
         step = after.pose.displacement_from(before.pose)
-        said.append(
+        moves.append(
             f"{track.topic}: the base's marker moved at {(after.start_ns - start_ns) * 1e-9:.2f} s,"
             f" by {1e3 * np.linalg.norm(step[:3]):.3f} mm and"
             f" {1e3 * np.linalg.norm(step[3:]):.3f} mrad; cut there"
         )
     if len(cuts) >= _MOST_MOVES:
-        said.append(f"{track.topic}: the base's marker does not stand still")
-    return stands, said
+        moves.append(f"{track.topic}: the base's marker does not stand still")
+    return stands, moves
 
 
 def _noise(off: Array) -> Array:

@@ -1,22 +1,25 @@
-"""The deflection that the tracker measured: where the tip is, and where the joints say it is."""
+"""The deflection that the tracker measured, as samples: the tip's pose over that by the joints."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
-from galen_model.arm.kinematics import tip_pose
+from galen_bags.many import calibration_of_bag
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
-from galen_model.registration.rigid import Transform
+from galen_model.errors import GalenError
+from galen_model.files.calibration_file import CalibrationFile
+from galen_model.registration import Transform
 
-from galen_deflection.errors import RegistrationError
-from galen_deflection.measurement.push_recording import PushRecording
-from galen_deflection.measurement.registration import Registration, register
-from galen_deflection.measurement.registration_fit import RegistrationSettings
-from galen_deflection.measurement.rest_poses import rest_poses
-from galen_deflection.measurement.samples import DeflectionSamples
+from galen_deflection.errors import DeflectionError, RegistrationError
+from galen_deflection.measurement.arm_positions import SAME_POSITION
+from galen_deflection.measurement.push_recording import PushRecording, read_pushes
+from galen_deflection.measurement.registration import Registration, register, rest_poses
+from galen_deflection.measurement.samples import DeflectionSamples, joined
 
 _LEAST_NOISE = 1e-6
 _CLEARLY = 5.0
@@ -26,36 +29,72 @@ _FAR_OFF = 6.0 * _MAD_TO_STD
 
 
 @dataclass(frozen=True)
-class MeasuredDeflection:
-    """Samples (n) with their recording's rows (n,), and how they were registered.
+class ReadSettings:
+    """How bags become samples.
 
-    untouched, zero_load (n,): as in `PushRecording`. registrations: one for each stand of the
-    base's marker, None where it has no rest to register on. problems: sentences about all of it.
+    tool: the tool's file, or, where `tool_beside` is true, its name in each bag's directory or the
+    one above. marker_offset, from_rest: as in `measure_deflection`.
     """
 
+    tool: Path
+    tool_beside: bool = False
+    marker_offset: bool = False
+    from_rest: bool = False
+
+    def tool_of(self, bag: Path) -> CalibrationFile:
+        """Return the tool that a bag was recorded with; raises GalenError that names the file."""
+        return calibration_of_bag(bag, self.tool, beside=self.tool_beside)
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One bag's samples (n), and how they were registered.
+
+    rows (n,): those of the `PushRecording`. positions (p, j): joints of the positions by their
+    numbers, m and rad. registrations: one for each stand of the base's marker, None where it has no
+    rest to register on. problems: sentences about all of it.
+    """
+
+    path: Path
+    tool: CalibrationFile
     samples: DeflectionSamples
-    rows: np.ndarray
-    untouched: np.ndarray
-    zero_load: np.ndarray
-    registrations: tuple[Registration | None, ...]
-    problems: tuple[str, ...]
+    positions: Array
+    problems: tuple[str, ...] = ()
+    rows: np.ndarray | None = None
+    registrations: tuple[Registration | None, ...] = ()
+
+
+def read_recording(
+    path: Path,
+    settings: ReadSettings,
+    on_progress: Callable[[int, int | None], None] | None = None,
+) -> Recording:
+    """Read and register one bag; raises GalenError that names the bag or the tool's file."""
+    pushes = read_pushes(path, settings.tool_of(path), on_progress)
+    recording = measure_deflection(
+        pushes, marker_offset=settings.marker_offset, from_rest=settings.from_rest
+    )
+    if not len(recording.samples):
+        raise DeflectionError(f"{path}: no deflection could be measured in it")
+    return recording
 
 
 def measure_deflection(
-    recording: PushRecording,
-    settings: RegistrationSettings | None = None,
-    *,
-    from_rest: bool = False,
-) -> MeasuredDeflection:
-    """Register the recording and take its deflections; raises RegistrationError.
+    recording: PushRecording, *, marker_offset: bool = False, from_rest: bool = False
+) -> Recording:
+    """Register the recording and return its deflections; raises RegistrationError.
 
     The set numbers are the visits of each position. Where the base's marker moved, each of its
     stands is registered on its own, and the samples of those without a rest are left out.
-    `from_rest`: count each visit's deflection from its own mean before the first push instead of
-    from where the joints say: it takes away what is wrong with the arm's geometry, and also what
-    earlier pushes left of a deflection; visits without such a phase are left out.
+
+    Args:
+        recording: of pushes.
+        marker_offset: estimate the tool marker's own offset from the tip.
+        from_rest: count each visit's deflection from its own mean before the first push instead of
+            from the tip by the joints: it removes errors of the arm's geometry, and also a residual
+            deflection of earlier pushes; visits without such a phase are left out.
+
     """
-    settings = settings or RegistrationSettings()
     registrations: list[Registration | None] = []
     problems = list(recording.problems)
     deflection = np.full((len(recording), 6), np.nan)
@@ -72,17 +111,17 @@ def measure_deflection(
                 )
             continue
         try:
-            registration = register(rests, recording.tool.tip_m, settings)
+            registration = register(rests, recording.tool.tip_m, marker_offset)
         except RegistrationError as error:
             why = "" if rests else "".join(f"; {problem}" for problem in recording.problems)
             raise RegistrationError(f"{recording.path}: {error}{why}") from None
         registrations.append(registration)
         problems += registration.problems
-        tip = Transform(*tip_pose(recording.joints[here], recording.tool.tip_m, settings.arm))
+        tip = Transform(*GALEN.tip_pose(recording.joints[here], recording.tool.tip_m))
         deflection[here] = registration.tip(recording.marker[here]).displacement_from(tip)
     problems += _what_moved(recording, registrations)
     if all(registration is None for registration in registrations):
-        register([], recording.tool.tip_m, settings)
+        register([], recording.tool.tip_m)  # raises
 
     noise, bias_drift = _noise(deflection, recording)
     if bias_drift > _BIAS_DRIFTS:
@@ -105,14 +144,56 @@ def measure_deflection(
         tip_m=np.asarray(recording.tool.tip_m, dtype=float),
         noise=noise,
     )
-    return MeasuredDeflection(
+    return Recording(
+        recording.path,
+        recording.tool,
         samples,
-        rows,
-        recording.untouched[rows],
-        recording.zero_load[rows],
-        tuple(registrations),
+        recording.positions,
         tuple(problems),
+        rows,
+        tuple(registrations),
     )
+
+
+def join_recordings(recordings: Sequence[Recording]) -> DeflectionSamples:
+    """Join recordings with one tool; the same place has the same number in all.
+
+    A position's number is that of the nearest one known so far whose joints are within
+    SAME_POSITION, else a new one. Raises GalenError for another tool.
+    """
+    first = recordings[0]
+    known: list[Array] = []
+    parts = []
+    for recording in recordings:
+        _check_same_tool(first, recording)
+        number = np.empty(len(recording.positions), dtype=int)
+        taken: set[int] = set()
+        for own, joints in enumerate(recording.positions):
+            away = [float(np.max(np.abs(joints - k) / SAME_POSITION)) for k in known]
+            near = [k for k, far in enumerate(away) if far <= 1.0 and k not in taken]
+            if near:
+                number[own] = min(near, key=away.__getitem__)
+            else:
+                number[own] = len(known)
+                known.append(joints)
+            taken.add(int(number[own]))
+        samples = recording.samples
+        parts.append(replace(samples, position=number[samples.position]))
+    return joined(parts)
+
+
+def _check_same_tool(first: Recording, other: Recording) -> None:
+    if other.tool.tool != first.tool.tool:
+        raise GalenError(
+            f"{first.path} was recorded with the tool {first.tool.tool}, {other.path} with"
+            f" {other.tool.tool}: a model is of one tool; call this once for each"
+        )
+    one, another = (np.asarray(recording.tool.tip_m) for recording in (first, other))
+    if not np.allclose(one, another, atol=1e-9):
+        raise GalenError(
+            f"the tool {first.tool.tool} has its tip at {one.tolist()} m in the file for"
+            f" {first.path}, but at {another.tolist()} m in that for {other.path}"
+        )
 
 
 def _what_moved(
@@ -128,7 +209,7 @@ def _what_moved(
         for stand, registration in zip(recording.stands, registrations, strict=True)
         if registration is not None
     ]
-    said = []
+    found = []
     for (before, marker_before), (after, marker_after) in pairwise(known):
         on_arm = marker_after.displacement_from(marker_before)
         arm_seen = (after.pose @ marker_after.inverse()).displacement_from(
@@ -139,10 +220,10 @@ def _what_moved(
         if max(marker, tracker) > _CLEARLY * min(marker, tracker):
             at_s = (after.start_ns - recording.start_ns) * 1e-9
             what = "the base's marker on the arm" if marker > tracker else "the tracker"
-            said.append(
+            found.append(
                 f"by the registrations before and after, it was {what} that moved by {at_s:.2f} s"
             )
-    return said
+    return found
 
 
 def _visits(recording: PushRecording) -> Sequence[np.ndarray]:

@@ -10,31 +10,36 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from galen_bags.arrays.arm_recording import ArmTopics
 from galen_bags.arrays.marker_tracks import MarkerTrack, RawTrack, marker_track, read_poses
 from galen_bags.arrays.timeline import Timeline, interpolated
 from galen_bags.formats.bag import open_bag
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import CalibrationFile
-from galen_model.registration.rigid import Transform
+from galen_model.registration import Transform
 
-from galen_deflection.errors import PushRecordingError
+from galen_deflection.errors import DeflectionError
 from galen_deflection.measurement.arm_positions import (
     LoadPhases,
-    PositionSettings,
     Stay,
-    UnloadedSettings,
     find_stays,
     load_phases,
     noise_of_mean,
-    wrench_noise,
 )
 from galen_deflection.measurement.arm_track import ArmTrack, read_arm_track
 from galen_deflection.measurement.base_marker import BaseStand, base_stands
+
+TOOL_POSE, BASE_POSE = "tracker/tool_pose", "tracker/base_pose"
+"""Topics by name, or by the end of their name (`ArmTopics`)."""
+
+_MAX_GAP_S = 0.1
+"""Nothing is interpolated over more, and more without a sample begins a segment."""
+
+_JUMP_S = 0.03
+"""Stamps whose delay to their log times changes by more, and stays so, jumped."""
 
 _NS = 1e9
 # Under this many samples a base marker's pose is no mean.
@@ -42,39 +47,13 @@ _LEAST_BASE_SAMPLES = 20
 
 
 @dataclass(frozen=True)
-class PushTopics:
-    """Topics by name, or by the end of their name (`ArmTopics`)."""
-
-    arm: ArmTopics = field(default_factory=ArmTopics)
-    tool_pose: str = "tracker/tool_pose"
-    base_pose: str = "tracker/base_pose"
-
-
-@dataclass(frozen=True)
-class PushSettings:
-    """Limits. Times in s.
-
-    max_gap_s: nothing is interpolated over more, and more without a sample begins a segment.
-    jump_s: stamps whose delay to their log times changes by more, and stays so, jumped.
-    """
-
-    topics: PushTopics = field(default_factory=PushTopics)
-    max_gap_s: float = 0.1
-    jump_s: float = 0.03
-    positions: PositionSettings = field(default_factory=PositionSettings)
-    unloaded: UnloadedSettings = field(default_factory=UnloadedSettings)
-
-
-@dataclass(frozen=True)
 class PushRecording:
     """Samples (n,) at the stamps of the tool's marker, of the arm standing at its positions.
 
     stamp_ns, segment, position, visit, stand (n,): `stand` counts in `stands`, visits from 0 for
-    each position; joints (n, 5) m and rad; wrench (n, 6) compensated, ft_sensor, N and N.m; marker
+    each position; joints (n, j) m and rad; wrench (n, 6) compensated, ft_sensor, N and N.m; marker
     (n): the tool's marker in the base's marker. untouched (n,): before the first push of a visit,
-    without contact; zero_load (n,): between pushes, where hysteresis may have left a
-    deflection. positions (p, 5): joints. wrench_noise (6,): of one sample. period_s: of the tool
-    marker. loaded_segments: those that begin under load, of whose past nothing is known.
+    without contact. positions (p, j): joints.
     """
 
     path: Path
@@ -88,90 +67,74 @@ class PushRecording:
     wrench: Array
     marker: Transform
     untouched: np.ndarray
-    zero_load: np.ndarray
     positions: Array
     stands: tuple[BaseStand, ...]
-    wrench_noise: Array
-    period_s: float
     start_ns: int
-    loaded_segments: tuple[int, ...]
     problems: tuple[str, ...]
 
     def __len__(self) -> int:
-        """Number of samples."""
+        """Return the number of samples."""
         return len(self.stamp_ns)
 
 
 def read_pushes(
     path: str | os.PathLike[str],
     tool: CalibrationFile,
-    settings: PushSettings | None = None,
     on_progress: Callable[[int, int | None], None] | None = None,
 ) -> PushRecording:
     """Read a recording of pushes, made with `tool` on.
 
     `on_progress(done, total)` counts messages of the arm. Raises BagError for a bag that can't be
-    read or lacks a topic, PushRecordingError where no sample is left, with the reasons.
+    read or lacks a topic, DeflectionError where no sample is left, with the reasons.
     """
-    settings = settings or PushSettings()
     with open_bag(path) as bag:
-        arm = read_arm_track(
-            bag,
-            tool,
-            settings.topics.arm,
-            jump_s=settings.jump_s,
-            on_progress=on_progress,
-        )
-        names = (settings.topics.tool_pose, settings.topics.base_pose)
-        tool_raw, base_raw = read_poses(bag, names)
+        arm = read_arm_track(bag, tool, jump_s=_JUMP_S, on_progress=on_progress)
+        tool_raw, base_raw = read_poses(bag, (TOOL_POSE, BASE_POSE))
         problems = [*bag.problems, *arm.problems]
-    return _assembled(Path(path), tool, settings, arm, tool_raw, base_raw, problems)
+    return _assembled(Path(path), tool, arm, tool_raw, base_raw, problems)
 
 
 def _assembled(
     path: Path,
     tool: CalibrationFile,
-    settings: PushSettings,
     arm: ArmTrack,
     tool_raw: RawTrack,
     base_raw: RawTrack,
     problems: list[str],
 ) -> PushRecording:
     start_ns = arm.start_ns
-    track = marker_track(tool_raw, settings.jump_s, start_ns, may_stand=False)
-    base = marker_track(base_raw, settings.jump_s, start_ns, may_stand=True)
+    track = marker_track(tool_raw, _JUMP_S, start_ns, may_stand=False)
+    base = marker_track(base_raw, _JUMP_S, start_ns, may_stand=True)
     problems = [*problems, *track.problems, *base.problems]
     if set(tool_raw.frame_ids) != set(base_raw.frame_ids):
-        raise PushRecordingError(
+        raise DeflectionError(
             f"{path}: {track.topic} is in {', '.join(tool_raw.frame_ids)}, {base.topic} in"
             f" {', '.join(base_raw.frame_ids)}: they must be in one frame"
         )
-    problems += _other_clocks(arm, track, base, settings.jump_s)
+    problems += _other_clocks(arm, track)
     if len(base) < _LEAST_BASE_SAMPLES:
-        raise PushRecordingError(_nothing(path, f"{base.topic} has {len(base)} poses", problems))
+        raise DeflectionError(_nothing(path, f"{base.topic} has {len(base)} poses", problems))
     stands, moved = base_stands(base, start_ns)
     problems += moved
-    stays, positions = find_stays(arm.joint_line, arm.joints, settings.positions)
+    stays, positions = find_stays(arm.joint_line, arm.joints)
     if not stays:
-        raise PushRecordingError(_nothing(path, "the arm never stands still", problems))
+        raise DeflectionError(_nothing(path, "the arm never stands still", problems))
 
     at_ns = track.line.time_ns
-    joints, joints_known, joint_shift = interpolated(
-        arm.joint_line, arm.joints, at_ns, settings.max_gap_s
-    )
+    joints, joints_known, joint_shift = interpolated(arm.joint_line, arm.joints, at_ns, _MAX_GAP_S)
     wrench, wrench_known, wrench_shift = interpolated(
-        arm.wrench_line, arm.wrenches, at_ns, settings.max_gap_s
+        arm.wrench_line, arm.wrenches, at_ns, _MAX_GAP_S
     )
-    jump_ns = settings.jump_s * _NS
+    jump_ns = _JUMP_S * _NS
     agree = np.abs(track.line.shift_ns - joint_shift) <= jump_ns
     agree &= np.abs(track.line.shift_ns - wrench_shift) <= jump_ns
     stay = _inside(at_ns, [(s.start_ns, s.end_ns) for s in stays])
     # At the rims of a stay, the first and last samples of the topics don't come together.
-    told = _inside(at_ns, [_shrunk(s, settings.max_gap_s) for s in stays]) >= 0
+    inner = _inside(at_ns, [_shrunk(s) for s in stays]) >= 0
     for lost, why in (
-        (~agree & told, "stamps stand off from the other topics' after a jump"),
-        (agree & ~joints_known & told, f"no {arm.joint_topic} around"),
-        (agree & joints_known & ~wrench_known & told, "no compensated wrench around"),
+        (~agree & inner, "stamps differ from the other topics' after a jump"),
+        (agree & ~joints_known & inner, f"no {arm.joint_topic} around"),
+        (agree & joints_known & ~wrench_known & inner, "no compensated wrench around"),
     ):
         if lost.any():
             first_s = (at_ns[lost][0] - start_ns) / _NS
@@ -180,12 +143,12 @@ def _assembled(
             )
     keep = (stay >= 0) & agree & joints_known & wrench_known
     if not keep.any():
-        raise PushRecordingError(_nothing(path, "no sample is left", problems))
+        raise DeflectionError(_nothing(path, "no sample is left", problems))
 
-    phases = _phases_of_visits(arm, stays, settings, problems)
+    phases = _phases_of_visits(arm, stays, problems)
     at_ns, stay = at_ns[keep], stay[keep]
     stand = _stand_of(at_ns, stands)
-    segment = _segments(track.line.kept(keep), stay, stand, settings.max_gap_s)
+    segment = _segments(track.line.kept(keep), stay, stand)
     untouched = _inside(at_ns, [p.first for p in phases if p.first is not None]) >= 0
     zero_load = _inside(at_ns, [span for p in phases for span in p.zero_load]) >= 0
     loaded = _loaded_segments(segment, untouched | zero_load)
@@ -210,28 +173,24 @@ def _assembled(
         wrench=wrench[keep],
         marker=base_in_tracker.inverse() @ track.poses[keep],
         untouched=untouched,
-        zero_load=zero_load,
         positions=positions,
         stands=tuple(stands),
-        wrench_noise=wrench_noise(arm.wrenches),
-        period_s=track.period_s,
         start_ns=start_ns,
-        loaded_segments=loaded,
         problems=tuple(problems),
     )
 
 
-def _other_clocks(arm: ArmTrack, track: MarkerTrack, base: MarkerTrack, jump_s: float) -> list[str]:
-    said = []
+def _other_clocks(arm: ArmTrack, track: MarkerTrack) -> list[str]:
+    found = []
     for topic, line in ((arm.wrench_topic, arm.wrench_line), (track.topic, track.line)):
         behind_s = (line.delay_ns - arm.joint_line.delay_ns) / _NS
-        if abs(behind_s) > jump_s:
-            said.append(
-                f"{topic}: stamps stand {abs(behind_s):.3f} s"
+        if abs(behind_s) > _JUMP_S:
+            found.append(
+                f"{topic}: stamps are {abs(behind_s):.3f} s"
                 f" {'behind' if behind_s > 0 else 'ahead of'} those of {arm.joint_topic}, by when"
                 " they were received; are they from another clock?"
             )
-    return said
+    return found
 
 
 def _nothing(path: Path, what: str, problems: list[str]) -> str:
@@ -247,31 +206,30 @@ def _inside(at_ns: np.ndarray, spans: list[tuple[int, int]]) -> np.ndarray:
     return np.where((which >= 0) & (at_ns <= ends[np.maximum(which, 0)]), which, -1)
 
 
-def _shrunk(stay: Stay, by_s: float) -> tuple[int, int]:
-    return stay.start_ns + round(by_s * _NS), stay.end_ns - round(by_s * _NS)
+def _shrunk(stay: Stay) -> tuple[int, int]:
+    margin_ns = round(_MAX_GAP_S * _NS)
+    return stay.start_ns + margin_ns, stay.end_ns - margin_ns
 
 
 def _stand_of(at_ns: np.ndarray, stands: list[BaseStand]) -> np.ndarray:
     return np.searchsorted([s.start_ns for s in stands], at_ns, side="right") - 1
 
 
-def _segments(line: Timeline, stay: np.ndarray, stand: np.ndarray, max_gap_s: float) -> np.ndarray:
-    """Numbers (n,) of stretches without a gap, a jump, a move of the base or of the arm."""
-    new = np.diff(line.time_ns) > max_gap_s * _NS
+def _segments(line: Timeline, stay: np.ndarray, stand: np.ndarray) -> np.ndarray:
+    """Numbers (n,) of runs without a gap, a jump, a move of the base or of the arm."""
+    new = np.diff(line.time_ns) > _MAX_GAP_S * _NS
     for number in (line.shift_ns, stay, stand):
         new |= np.diff(number) != 0
     return np.concatenate([[0], np.cumsum(new)])
 
 
-def _loaded_segments(segment: np.ndarray, free: np.ndarray) -> tuple[int, ...]:
+def _loaded_segments(segment: np.ndarray, free: np.ndarray) -> list[int]:
     first = np.concatenate([[True], np.diff(segment) > 0])
-    return tuple(int(number) for number in segment[first & ~free])
+    return segment[first & ~free].tolist()
 
 
-def _phases_of_visits(
-    arm: ArmTrack, stays: list[Stay], settings: PushSettings, problems: list[str]
-) -> list[LoadPhases]:
-    """Of each visit; those without an untouched start are told."""
+def _phases_of_visits(arm: ArmTrack, stays: list[Stay], problems: list[str]) -> list[LoadPhases]:
+    """Of each visit; one with contact at its start is a problem."""
     visits: list[list[Stay]] = []
     for stay in stays:
         if visits and visits[-1][-1].position == stay.position:
@@ -280,10 +238,10 @@ def _phases_of_visits(
             visits.append([stay])
     phases = []
     line = arm.wrench_line
-    noise = noise_of_mean(line.time_ns, arm.wrenches, settings.unloaded.window_s)
+    noise = noise_of_mean(line.time_ns, arm.wrenches)
     for visit in visits:
         inside = (line.time_ns >= visit[0].start_ns) & (line.time_ns <= visit[-1].end_ns)
-        found = load_phases(line.time_ns[inside], arm.wrenches[inside], noise, settings.unloaded)
+        found = load_phases(line.time_ns[inside], arm.wrenches[inside], noise)
         if found.first is None:
             at_s = (visit[0].start_ns - arm.start_ns) / _NS
             problems.append(

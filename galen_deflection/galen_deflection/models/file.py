@@ -1,4 +1,4 @@
-"""A fitted model's file: JSON with a schema's version and a checksum, written whole or not at all.
+"""Kinds of deflection models by name, and a model's file: written whole or not at all.
 
     {"schema_version": 1, "kind": "joint_stiffness", "tip_m": [..3..],
      "parameters": [{"name": "1/k_roll", "unit": "rad/(N.m)", "value": 0.0005}, ...],
@@ -7,12 +7,10 @@
      "notes": [..],
      "sha256": "..."}
 
-What else is in it, the kind decides. The checksum is SHA-256 of all other fields as JSON without
-spaces and with sorted keys: it tells a file that was cut, mixed or edited by hand.
+The other fields depend on the kind. The checksum is SHA-256 of all other fields as JSON without
+spaces and with sorted keys: it shows a file that was cut, mixed or edited by hand.
 
-A network's file is in the safetensors format, with its weights as tensors and the same JSON in its
-metadata; the checksum is then over both (`tensor_file`). Which of the two a file is, its first
-bytes say, not its name.
+PyTorch is imported by the training of a network only.
 """
 
 from __future__ import annotations
@@ -20,11 +18,10 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-import numpy as np
 from galen_model.files.atomic_file import write_whole
 from galen_model.files.json_fields import (
     DEFLECTION_MODEL,
@@ -38,73 +35,94 @@ from galen_model.files.json_fields import (
     text,
 )
 
-from galen_deflection.errors import ModelFileError
-from galen_deflection.models.interface import DeflectionModel
-from galen_deflection.models.registry import kind_of, model_from
-from galen_deflection.networks.tensor_file import digest, is_packed, packed, unpacked
+from galen_deflection.errors import DeflectionError
+from galen_deflection.measurement.samples import DeflectionSamples
+from galen_deflection.models.interface import FitSettings
+from galen_deflection.models.network import LSTM, NetworkModel
+from galen_deflection.models.network_training import fit_network
+from galen_deflection.models.spring_fit import fit_hysteresis, fit_stiffness
+from galen_deflection.models.spring_model import HYSTERESIS, STIFFNESS, SpringModel
 
 SCHEMA_VERSION = 1
 _MAX_FILE_BYTES = 10_000_000
 
-_Tensors = Mapping[str, np.ndarray]
+DeflectionModel = SpringModel | NetworkModel
+"""A fitted model: both predict samples, and give a stream for samples as they come."""
+
+
+class ModelKind(NamedTuple):
+    """A kind of model; fit raises FitError, read takes a file's content and raises FieldError."""
+
+    summary: str
+    fit: Callable[[DeflectionSamples, FitSettings | None], DeflectionModel]
+    read: Callable[[Mapping[str, Any]], DeflectionModel]
+
+
+KINDS: dict[str, ModelKind] = {
+    STIFFNESS: ModelKind(
+        "springs in the joints, carriages and rods", fit_stiffness, SpringModel.from_json
+    ),
+    HYSTERESIS: ModelKind(
+        "the same with hysteresis in these springs, or of the platform as a whole",
+        fit_hysteresis,
+        SpringModel.from_json,
+    ),
+    LSTM: ModelKind(
+        "the 2019 report's network: LSTM of 18 units, fully connected to the axes",
+        fit_network,
+        NetworkModel.from_json,
+    ),
+}
+"""Kinds in the order in which they are listed."""
 
 
 def read_model(path: str | os.PathLike[str]) -> DeflectionModel:
-    """Read and check a model's file. Raises ModelFileError that names the file and the field."""
+    """Read and check a model's file; raises DeflectionError that names the file and the field."""
     path = Path(path)
     try:
-        raw = read_limited(path, _MAX_FILE_BYTES, "a model's file")
-        return _made(*_parts(raw))
+        return _model_of(parse_json(read_limited(path, _MAX_FILE_BYTES, "a model's file")))
     except OSError as error:
-        raise ModelFileError(f"{path}: can't be read: {error.strerror}") from error
+        raise DeflectionError(f"{path}: can't be read: {error.strerror}") from error
     except (FieldError, RecursionError) as error:
-        raise ModelFileError(f"{path}: {error}") from error
+        raise DeflectionError(f"{path}: {error}") from error
 
 
 def write_model(path: str | os.PathLike[str], model: DeflectionModel) -> None:
     """Write a model's file whole or not at all; the old one is kept as `.bak`.
 
-    Raises ModelFileError, naming the file; the old file is then untouched.
+    Raises DeflectionError, naming the file; the old file is then untouched.
     """
     path = Path(path)
     try:
-        tensors = model.tensors()
         content = {"schema_version": SCHEMA_VERSION, **model.to_json()}
-        content["sha256"] = _checksum(content, tensors)
-        text = json.dumps(content, indent=1, allow_nan=False) + "\n"
-        raw = text.encode() if tensors is None else packed(text, tensors)
-        _made(*_parts(raw))  # what can't be read must not be written
+        content["sha256"] = _checksum(content)
+        raw = json.dumps(content, indent=1, allow_nan=False) + "\n"
+        _model_of(parse_json(raw))  # what can't be read must not be written
     except (ValueError, FieldError) as error:
-        raise ModelFileError(f"{path}: not written: {error}") from error
+        raise DeflectionError(f"{path}: not written: {error}") from error
     try:
         write_whole(path, raw)
     except OSError as error:
-        raise ModelFileError(f"{path}: can't be written: {error.strerror}") from error
+        raise DeflectionError(f"{path}: can't be written: {error.strerror}") from error
 
 
-def _parts(raw: bytes) -> tuple[Any, _Tensors | None]:
-    """A file's JSON, and its tensors if it has any."""
-    if not is_packed(raw):
-        return parse_json(raw), None
-    text, tensors = unpacked(raw)
-    return parse_json(text), tensors
-
-
-def _made(content: Any, tensors: _Tensors | None) -> DeflectionModel:
+def _model_of(content: Any) -> DeflectionModel:
     whole = mapping(content, "the file")
     check_kind(whole, DEFLECTION_MODEL)
     check_version(whole, SCHEMA_VERSION)
-    kind_of(text(get(whole, "kind"), "kind"))
+    name = text(get(whole, "kind"), "kind")
+    if name not in KINDS:
+        raise FieldError(f'kind is "{name}"; this version knows {", ".join(KINDS)}')
     found = text(get(whole, "sha256"), "sha256")
-    if found != _checksum(whole, tensors):
+    if found != _checksum(whole):
         raise FieldError("sha256 is not that of the content: it was changed or cut")
-    return model_from(whole, tensors)
+    return KINDS[name].read(whole)
 
 
-def _checksum(content: Mapping[str, Any], tensors: _Tensors | None) -> str:
+def _checksum(content: Mapping[str, Any]) -> str:
     checked = {name: value for name, value in content.items() if name != "sha256"}
     try:
         canonical = json.dumps(checked, sort_keys=True, separators=(",", ":"), allow_nan=False)
     except ValueError as error:  # Python reads NaN and 1e999, which no JSON holds
         raise FieldError(f"a number in it is not finite: {error}") from error
-    return hashlib.sha256(canonical.encode() + digest(tensors or {})).hexdigest()
+    return hashlib.sha256(canonical.encode()).hexdigest()

@@ -1,15 +1,37 @@
-"""The interface of every deflection model, and how one is fitted."""
+"""Shared by all deflection models: predictions, settings of a fit, the range of a fit."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from galen_model.arrays import Array
+from galen_model.files.json_fields import (
+    FieldError,
+    array,
+    count,
+    get,
+    items,
+    mapping,
+    numbers,
+)
 
 from galen_deflection.measurement.samples import DeflectionSamples
+
+MARGIN = 0.1
+"""Share of its span by which a range may be left before that counts: noise, a bit more push."""
+
+SMALLEST_MARGIN = np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])
+"""N and N.m: what a resting hand or the sensor's bias drift loads the tip with."""
+
+NEARBY = np.array([0.03, 0.03, 0.03, 0.15, 0.15])
+"""m and rad: how far a position may be from one that was fitted on and still count as it.
+
+At the tip, 0.8 m from the roll axis, the nominal compliance changes by some percent over it.
+"""
 
 
 class Predicted(NamedTuple):
@@ -18,7 +40,7 @@ class Predicted(NamedTuple):
     mean (6,): translation (m) and rotation vector (rad) of tool_tip in base_link; covariance
     (6, 6) of the true deflection about it; extrapolated: the load or the arm's position lies
     outside of what the model was fitted on. start (6, 6): the part of the covariance that is there
-    only because nothing is known of the loads before the stream's start; None where there is none.
+    only because the loads before the stream's start are unknown; None where there is none.
     """
 
     mean: Array
@@ -34,69 +56,153 @@ class PredictedSamples(NamedTuple):
     covariance: Array
     extrapolated: np.ndarray
 
-
-class Stream(Protocol):
-    """A model on samples as they come; it may remember the load."""
-
-    def step(self, stamp_ns: int, joints: Array, wrench: Array) -> Predicted:
-        """Take joints (5,) and the applied wrench (6,) in ft_sensor about its origin."""
-
-    def reset(self) -> None:
-        """Forget what was: as if the arm had never been loaded."""
-
-
-class DeflectionModel(Protocol):
-    """A fitted model."""
-
-    @property
-    def name(self) -> str:
-        """Its kind, as in model files and on the command line."""
-
-    @property
-    def tip_m(self) -> Array:
-        """The tip (3,) in ft_sensor that it was fitted for."""
-
-    @property
-    def noise(self) -> Array:
-        """Standard deviation (6,) of one measured deflection that it was fitted to."""
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Sentences on what the fit found."""
-
-    def predict(self, samples: DeflectionSamples) -> PredictedSamples:
-        """Predict every sample, each segment from a fresh start: the same as stream by stream."""
-
-    def stream(self) -> Stream:
-        """A stream that starts unloaded. Needs no torch but in the networks."""
-
-    def to_json(self) -> dict[str, Any]:
-        """Everything needed to make it again, but `tensors`: numbers, lists and texts."""
-
-    def tensors(self) -> dict[str, np.ndarray] | None:
-        """A network's weights by name, float32; None for a model without any."""
+    def rows(self, rows: np.ndarray | slice) -> PredictedSamples:
+        """Return some of the samples' predictions."""
+        return PredictedSamples(*(values[rows] for values in self))
 
 
 @dataclass(frozen=True)
 class FitSettings:
-    """What every kind of model takes; a kind that doesn't need one of these leaves it alone.
+    """What every kind of model takes; a kind that doesn't need one of these ignores it.
 
     use (n,) bool, or None for all: the samples whose measured deflection a fit may look at. The
-    loads of the others still count for what the arm remembers, as they would live. seed: of all
-    that is drawn by chance. iterations: of a network's training, None for its kind's own number.
-    on_progress(done, total, what): called now and then.
+    loads of the others still count for what the arm remembers, as they would live. seed,
+    iterations: of a network's training. on_progress(done, total, what): called now and then.
     """
 
     use: np.ndarray | None = None
     seed: int = 0
-    iterations: int | None = None
+    iterations: int = 150
     on_progress: Callable[[int, int, str], None] | None = None
 
     def used(self, count: int) -> np.ndarray:
-        """The samples (count,) to look at; raises ValueError for another number of them."""
+        """Return the samples (count,) to look at; raises ValueError for another number of them."""
         if self.use is None:
             return np.ones(count, dtype=bool)
         use = np.asarray(self.use, dtype=bool)
         if use.shape != (count,):
             raise ValueError(f"use has the shape {use.shape} for {count} samples")
         return use
+
+
+@dataclass(frozen=True)
+class FittedRange:
+    """The loads and positions that a model was fitted on; beyond them it extrapolates.
+
+    Wrenches at the tip in base_link, lowest and highest (6,), N and N.m; joints (5,), m and rad:
+    between them a model that knows the arm's geometry interpolates. `positions` (k, 5) or None: a
+    model without that knowledge holds near these only.
+    """
+
+    wrench_low: Array
+    wrench_high: Array
+    joints_low: Array
+    joints_high: Array
+    positions: Array | None = None
+
+    @classmethod
+    def of(cls, joints: Array, wrench: Array, only_nearby: bool) -> FittedRange:
+        """Return the range of joints (n, 5) and wrenches (n, 6) at the tip in base_link."""
+        return cls(
+            wrench_low=wrench.min(axis=0),
+            wrench_high=wrench.max(axis=0),
+            joints_low=joints.min(axis=0),
+            joints_high=joints.max(axis=0),
+            positions=_distinct(joints) if only_nearby else None,
+        )
+
+    def left_by(self, joints: Array, wrench: Array) -> np.ndarray:
+        """Return which of the samples (n,) lie outside: joints (n, 5), wrenches (n, 6)."""
+        low, high = self._limits
+        both = np.concatenate([wrench, joints], axis=1)
+        outside = ((both < low) | (both > high)).any(axis=1)
+        if self.positions is not None:
+            far = np.abs(joints[:, None] - self.positions) > NEARBY
+            outside |= np.all(far.any(axis=2), axis=1)
+        return np.asarray(outside)
+
+    @cached_property
+    def _limits(self) -> tuple[Array, Array]:
+        """Lowest and highest (11,) of wrench and joints; near positions, joints have none here."""
+        wrench = np.maximum(MARGIN * (self.wrench_high - self.wrench_low), SMALLEST_MARGIN)
+        joints = np.maximum(MARGIN * (self.joints_high - self.joints_low), NEARBY)
+        if self.positions is not None:
+            joints = np.full_like(joints, np.inf)
+        margin = np.concatenate([wrench, joints])
+        return (
+            np.concatenate([self.wrench_low, self.joints_low]) - margin,
+            np.concatenate([self.wrench_high, self.joints_high]) + margin,
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain numbers."""
+        content: dict[str, Any] = {
+            "wrench_at_tip_low": numbers(self.wrench_low),
+            "wrench_at_tip_high": numbers(self.wrench_high),
+            "joints_low": numbers(self.joints_low),
+            "joints_high": numbers(self.joints_high),
+        }
+        if self.positions is not None:
+            content["positions"] = [numbers(row) for row in self.positions]
+        return content
+
+    @classmethod
+    def from_json(cls, content: Any, name: str) -> FittedRange:
+        """Read with checks; raises FieldError."""
+        whole = mapping(content, name)
+        sides: list[Array] = []
+        for what, size in (("wrench_at_tip", 6), ("joints", 5)):
+            low, high = (
+                array(get(whole, f"{what}_{side}"), f"{name}.{what}_{side}", (size,))
+                for side in ("low", "high")
+            )
+            if np.any(low > high):
+                raise FieldError(f"{name}.{what}_low is above {name}.{what}_high")
+            sides += [low, high]
+        positions = whole.get("positions")
+        if positions is not None:
+            rows = len(items(positions, f"{name}.positions"))
+            positions = array(positions, f"{name}.positions", (rows, 5))
+        wrench_low, wrench_high, joints_low, joints_high = sides
+        return cls(wrench_low, wrench_high, joints_low, joints_high, positions)
+
+
+def _distinct(joints: Array) -> Array:
+    """Positions (k, 5) such that every one of joints (n, 5) is near one of them."""
+    found: list[Array] = []
+    left = joints
+    while len(left):
+        found.append(left[0])
+        left = left[np.any(np.abs(left - left[0]) > NEARBY, axis=1)]
+    return np.array(found)
+
+
+def fitted_on(samples: DeflectionSamples) -> dict[str, int]:
+    """Count what a model is fitted to, for its file."""
+    places = np.stack([samples.position, samples.set_number], axis=1)
+    return {
+        "samples": len(samples),
+        "segments": len(np.unique(samples.segment)),
+        "positions": len(np.unique(samples.position)),
+        "sets": len(np.unique(places, axis=0)),
+    }
+
+
+def fitted_on_from_json(content: Any) -> dict[str, int]:
+    """Read the field fitted_on; raises FieldError."""
+    counts = mapping(content, "fitted_on")
+    names = ("samples", "segments", "positions", "sets")
+    return {name: count(get(counts, name), f"fitted_on.{name}") for name in names}
+
+
+def tip_from_json(content: Any) -> Array:
+    """Read the field tip_m (3,); raises FieldError."""
+    return array(get(content, "tip_m"), "tip_m", (3,))
+
+
+def noise_from_json(content: Any) -> Array:
+    """Read the field noise (6,); raises FieldError."""
+    noise = array(get(content, "noise"), "noise", (6,))
+    if np.any(noise <= 0.0):
+        raise FieldError("noise holds a value that isn't positive")
+    return noise

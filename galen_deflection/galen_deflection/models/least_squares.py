@@ -1,8 +1,8 @@
-"""Weighted linear least squares for the models, out of sums over blocks of time.
+"""Weighted non-negative least squares for the springs, out of sums over blocks of time.
 
-With W = 1 / noise^2, a block's N = sum D^T W D, b = sum D^T W y and y^T W y say all that a fit
-needs of it: fits that leave some blocks out, and what those would say of them, cost no further look
-at the samples. Blocks are a few seconds long, about a push each.
+With W = 1 / noise^2, a block's N = sum D^T W D, b = sum D^T W y and y^T W y are all that a fit
+needs of it: fits that leave some blocks out, and their residuals there, cost no further look at
+the samples. Blocks are a few seconds long, about a push each.
 
 Covariance of the parameters: N^-1, which is Cramer and Rao's bound if the model is right. If it is
 not, residuals hang together for as long as a push lasts, and count for much less than their number.
@@ -25,17 +25,15 @@ import numpy as np
 from galen_model.arrays import Array
 from scipy.optimize import nnls
 
-from galen_deflection.errors import FitError, NegativeComplianceError
+from galen_deflection.errors import FitError
 from galen_deflection.measurement.samples import DeflectionSamples, check_to_fit
-from galen_deflection.models.fitted_range import FittedRange
-from galen_deflection.models.interface import FitSettings
-from galen_deflection.models.linear import (
-    Basis,
-    FittedOn,
-    LinearModel,
+from galen_deflection.models.interface import FitSettings, FittedRange, fitted_on
+from galen_deflection.models.spring_model import (
     Parameter,
     Rows,
-    segments,
+    SpringBasis,
+    SpringModel,
+    SpringRun,
 )
 
 BLOCK_S = 4.0
@@ -43,7 +41,7 @@ BLOCK_S = 4.0
 FEWEST_FOLDS = 4
 
 MAX_RELATIVE_STD = 0.5
-"""Standard deviation over what was known before, beyond which samples don't tell a parameter."""
+"""Standard deviation over what was known before, beyond which a parameter is not identifiable."""
 
 _REJECTED_BEYOND = 3.0
 """Standard deviations below zero."""
@@ -64,7 +62,7 @@ class Sums:
     used: np.ndarray
 
     def combined(self, combination: Array) -> Sums:
-        """Of other designs, whose columns are combinations (p, q) of these."""
+        """Return those of other designs, whose columns are combinations (p, q) of these."""
         return replace(
             self,
             information=combination.T @ self.information @ combination,
@@ -72,11 +70,11 @@ class Sums:
         )
 
     def total(self, rows: np.ndarray | slice = slice(None)) -> tuple[Array, Array]:
-        """N (p, p) and b (p,) of some of the blocks."""
+        """Return N (p, p) and b (p,) of some of the blocks."""
         return self.information[rows].sum(axis=0), self.right[rows].sum(axis=0)
 
     def cost(self, values: Array) -> Array:
-        """Sums (b,) of squared residuals in units of the noise."""
+        """Return sums (b,) of squared residuals in units of the noise."""
         fitted = np.einsum("bpq,p,q->b", self.information, values, values)
         return np.asarray(self.square - 2.0 * self.right @ values + fitted)
 
@@ -99,11 +97,8 @@ class Solution:
         return covariance
 
 
-def sums(basis: Basis, samples: DeflectionSamples, settings: FitSettings) -> Sums:
-    """Go through the samples once, segment by segment.
-
-    Raises FitError as `check_to_fit`.
-    """
+def sums(basis: SpringBasis, samples: DeflectionSamples, settings: FitSettings) -> Sums:
+    """Go through the samples once, segment by segment; raises FitError as `check_to_fit`."""
     used = settings.used(len(samples))
     check_to_fit(samples, used)
     weight = 1.0 / samples.noise
@@ -124,10 +119,10 @@ def sums(basis: Basis, samples: DeflectionSamples, settings: FitSettings) -> Sum
 
 
 def blocks(samples: DeflectionSamples) -> list[slice]:
-    """Blocks of at most BLOCK_S, each within a segment and a repetition of a position."""
+    """Return blocks of at most BLOCK_S, each within a segment and a repetition of a position."""
     found = []
     places = np.stack([samples.position, samples.set_number], axis=1)
-    for segment in segments(samples):
+    for segment in samples.segments():
         changed = np.any(np.diff(places[segment], axis=0) != 0, axis=1)
         since_s = (samples.stamp_ns[segment] - samples.stamp_ns[segment.start]) * 1e-9
         cut = changed | (np.diff(np.floor(since_s / BLOCK_S)) > 0)
@@ -139,9 +134,9 @@ def blocks(samples: DeflectionSamples) -> list[slice]:
 
 
 def folds(samples: DeflectionSamples, parts: Sequence[slice]) -> np.ndarray:
-    """The fold (b,) of each block: the repetition of a position, never cut by the sample.
+    """Return the fold (b,) of each block: the repetition of a position.
 
-    Where there are fewer than FEWEST_FOLDS, each is cut into equal stretches of blocks.
+    Where there are fewer than FEWEST_FOLDS, each is cut into equal runs of blocks.
     """
     firsts = [part.start for part in parts]
     places = np.stack([samples.position[firsts], samples.set_number[firsts]], axis=1)
@@ -156,14 +151,9 @@ def folds(samples: DeflectionSamples, parts: Sequence[slice]) -> np.ndarray:
     return labels
 
 
-def solve(
-    information: Array, right: Array, parameters: Sequence[Parameter], bounded: bool
-) -> Solution:
-    """Least squares from N and b; `bounded`: none below zero.
-
-    What the samples don't tell (`not_told`) is held near what was known before.
-    """
-    missing = not_told(information, parameters)
+def solve(information: Array, right: Array, parameters: Sequence[Parameter]) -> Solution:
+    """Solve from N and b, none below zero; what is not identifiable stays near its prior."""
+    missing = _not_identifiable(information, parameters)
     information, right = information.copy(), right.copy()
     for k in missing:
         prior_std = parameters[k].prior_std
@@ -176,97 +166,89 @@ def solve(
     values = np.zeros(len(right))
     # N = R^T R, by eigenvalues since hardly different thresholds leave it nearly singular
     eigenvalue, vectors = np.linalg.eigh(information / np.outer(scale, scale))
-    told = eigenvalue > 1e-12 * eigenvalue[-1]
-    root = np.sqrt(eigenvalue[told])
-    rows, wanted = root[:, None] * vectors[:, told].T, vectors[:, told].T @ (right / scale) / root
-    if bounded:
-        values[used] = nnls(rows[:, used], wanted)[0]
-    else:
-        values[used] = np.linalg.lstsq(rows[:, used], wanted, rcond=None)[0]
+    kept = eigenvalue > 1e-12 * eigenvalue[-1]
+    root = np.sqrt(eigenvalue[kept])
+    rows, wanted = root[:, None] * vectors[:, kept].T, vectors[:, kept].T @ (right / scale) / root
+    values[used] = nnls(rows[:, used], wanted)[0]
     values /= scale
     free = used & ((values > 0.0) | [p.prior_std is not None for p in parameters])
     names = tuple(parameters[k].name for k in missing)
     return Solution(values, free, names, information)
 
 
-def not_told(information: Array, parameters: Sequence[Parameter]) -> list[int]:
-    """The parameters that the samples tell hardly more of than was known before.
+def _not_identifiable(information: Array, parameters: Sequence[Parameter]) -> list[int]:
+    """The parameters that are hardly better known by the samples than before.
 
     In units of what was known, a combination whose standard deviation is above MAX_RELATIVE_STD is
-    not told, and all that have a share in it are named, as `galen_model.load.excitation` does it.
-    What has no prior is left out: of hysteresis, the fit itself takes what the samples want.
+    not identifiable, and all that have a share in it are named. What has no prior is left out: of
+    hysteresis, the fit itself takes what the samples want.
     """
     asked = np.array([k for k, p in enumerate(parameters) if p.prior_std is not None], dtype=int)
     scale = np.array([parameters[k].prior_std for k in asked], dtype=float)
-    told, directions = np.linalg.eigh(information[np.ix_(asked, asked)] * np.outer(scale, scale))
-    weak = told < MAX_RELATIVE_STD**-2
+    gained, directions = np.linalg.eigh(information[np.ix_(asked, asked)] * np.outer(scale, scale))
+    weak = gained < MAX_RELATIVE_STD**-2
     share = np.sum(directions[:, weak] ** 2, axis=1)
     return [int(k) for k in asked[share > 0.1]]
 
 
 def finished(
-    name: str,
-    basis: Basis,
-    samples: DeflectionSamples,
-    totals: Sums,
-    only_nearby: bool,
-) -> LinearModel:
-    """The model of a basis: its parameters, what it leaves unsaid, and its range.
+    name: str, basis: SpringBasis, samples: DeflectionSamples, totals: Sums
+) -> SpringModel:
+    """Return the model of a basis, by its sums over the samples.
 
-    `totals`: the basis's over the samples; `only_nearby`: as `FittedRange.of`. Raises FitError for
-    samples without load, NegativeComplianceError for a spring that would push back.
+    Raises FitError for samples without load, and for a spring that would push back.
     """
     parameters = basis.parameters
-    solution = solve(*totals.total(), parameters, basis.bounded)
+    solution = solve(*totals.total(), parameters)
     if len(solution.unresolved) == sum(p.prior_std is not None for p in parameters):
         raise FitError(
-            f"the samples tell none of the parameters of the model {name}: nothing loads the arm"
+            f"no parameter of the model {name} is identifiable from the samples: nothing loads the"
+            " arm"
         )
     covariance = _inflation(totals, solution) * solution.covariance
-    if basis.bounded:
-        _reject_negative(totals, solution, parameters)
-    return LinearModel(
+    _reject_negative(totals, solution, parameters)
+    used = samples.rows(totals.used)
+    return SpringModel(
         name=name,
-        tip_m=samples.tip_m,
         basis=basis,
         values=solution.values,
         covariance=covariance,
         discrepancy=_discrepancy(basis, samples, totals),
         noise=samples.noise,
         fitted_range=FittedRange.of(
-            samples.joints[totals.used], totals.wrench_at_tip[totals.used], only_nearby
+            used.joints, totals.wrench_at_tip[totals.used], only_nearby=False
         ),
-        fitted_on=FittedOn.of(samples.rows(totals.used)),
+        fitted_on=fitted_on(used),
         unresolved=solution.unresolved,
     )
 
 
-def values_without(totals: Sums, basis: Basis) -> dict[int, Array]:
+def _values_without(totals: Sums, basis: SpringBasis) -> dict[int, Array]:
     """For each fold, the values (p,) fitted to all others."""
     return {
-        int(fold): solve(*totals.total(totals.fold != fold), basis.parameters, basis.bounded).values
+        int(fold): solve(*totals.total(totals.fold != fold), basis.parameters).values
         for fold in np.unique(totals.fold)
     }
 
 
-def held_out_cost(totals: Sums, basis: Basis) -> Array:
-    """Squared residual (folds,), in units of the noise, of each fold by a fit to the others."""
+def held_out_cost(totals: Sums, basis: SpringBasis) -> Array:
+    """Return each fold's squared residual (folds,) by a fit to the others, over the noise's."""
     return np.array(
         [
             float(totals.cost(value)[totals.fold == fold].sum())
-            for fold, value in values_without(totals, basis).items()
+            for fold, value in _values_without(totals, basis).items()
         ]
     )
 
 
 def _rows(
-    basis: Basis, samples: DeflectionSamples, parts: Sequence[slice]
+    basis: SpringBasis, samples: DeflectionSamples, parts: Sequence[slice]
 ) -> Iterator[tuple[slice, Rows]]:
     """The blocks in their order, each segment in one run."""
-    beginnings = {segment.start for segment in segments(samples)}
+    beginnings = {segment.start for segment in samples.segments()}
     for part in parts:
         if part.start in beginnings:
-            run = basis.run()
+            run = SpringRun(basis)
         yield part, run.rows(samples.joints[part], samples.wrench[part])
 
 
@@ -279,7 +261,7 @@ def _inflation(totals: Sums, solution: Solution) -> float:
 
 
 def _reject_negative(totals: Sums, solution: Solution, parameters: Sequence[Parameter]) -> None:
-    """Raise NegativeComplianceError if a compliance would be below zero, were it let."""
+    """Raise FitError if a compliance would be below zero, were it let."""
     information, right = totals.total()
     for k, parameter in enumerate(parameters):
         if parameter.prior_std is None or solution.values[k] > 0.0:
@@ -292,15 +274,15 @@ def _reject_negative(totals: Sums, solution: Solution, parameters: Sequence[Para
             _inflation(totals, replace(unbounded, values=values)) * unbounded.covariance[k, k]
         )
         if values[k] < -_REJECTED_BEYOND * std:
-            raise NegativeComplianceError(
+            raise FitError(
                 f"{parameter.name} comes out as {values[k]:.3g} +- {std:.2g} {parameter.unit}: no "
                 "spring pushes back; wrench, joints and tracker do not fit together"
             )
 
 
-def _discrepancy(basis: Basis, samples: DeflectionSamples, totals: Sums) -> Array:
+def _discrepancy(basis: SpringBasis, samples: DeflectionSamples, totals: Sums) -> Array:
     """Covariance (6, 6) of the residuals that is more than the noise's."""
-    values = values_without(totals, basis)
+    values = _values_without(totals, basis)
     found = np.zeros((6, 6))
     for (part, rows), fold in zip(_rows(basis, samples, blocks(samples)), totals.fold, strict=True):
         residual = (samples.deflection[part] - rows.design @ values[int(fold)]) / samples.noise
@@ -310,9 +292,9 @@ def _discrepancy(basis: Basis, samples: DeflectionSamples, totals: Sums) -> Arra
 
 
 def beyond_noise(square: Array, noise: Array) -> Array:
-    """The part of residuals' covariance (6, 6), in their units, that noise (6,) does not explain.
+    """Return the part of residuals' covariance (6, 6) that noise (6,) does not explain.
 
-    square (6, 6): mean of the residuals' products, in units of the noise.
+    In the residuals' units; square (6, 6): mean of their products, in units of the noise.
     """
     eigenvalue, vectors = np.linalg.eigh(square - np.eye(6))
     beyond = vectors * np.maximum(eigenvalue, 0.0) @ vectors.T

@@ -1,145 +1,142 @@
-"""Files of models against recordings that they were not fitted to; one bag is a job."""
+"""`evaluate` of recordings: files of models, or kinds fitted to a part and scored on the rest."""
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from galen_bags.formats.find import find_bags
-from galen_bags.many.inputs import distinct_names
-from galen_bags.many.run import json_rows, run_many
+from galen_bags.formats.files import find_bags
+from galen_bags.many import distinct_names
+from galen_model.errors import GalenError
 from galen_model.files.calibration_file import CalibrationFile
 from galen_ros.command import EXIT_FAILED, EXIT_OK, print_json, progress, terminal, writing
-from rich.console import Console
 
-from galen_deflection.errors import ModelFileError
-from galen_deflection.measurement.recordings import (
-    ReadSettings,
+from galen_deflection.errors import DeflectionError
+from galen_deflection.measurement.measured_deflection import (
     Recording,
-    find_tool,
+    join_recordings,
     read_recording,
 )
-from galen_deflection.models.file import read_model
-from galen_deflection.models.interface import DeflectionModel, PredictedSamples
-from galen_deflection.scoring.cross_check import by_position
-from galen_deflection.scoring.options import TABLE_WIDTH, print_problems, read_settings
-from galen_deflection.scoring.score import Score, score
-from galen_deflection.scoring.score_table import axis_table, comparison_table, overview_table
+from galen_deflection.measurement.samples import DeflectionSamples
+from galen_deflection.models.file import KINDS, DeflectionModel, read_model
+from galen_deflection.models.interface import FitSettings, PredictedSamples
+from galen_deflection.scoring.cross_check import (
+    SPLITS,
+    Checked,
+    Split,
+    cross_check,
+    usual_splits,
+)
+from galen_deflection.scoring.report import (
+    TABLE_WIDTH,
+    print_problems,
+    read_all,
+    read_settings,
+    score_table,
+)
+from galen_deflection.scoring.score import Score, by_position, score
+
+# Files of models
 
 
-@dataclass(frozen=True)
-class Evaluation:
-    """What models predict of a recording; mappings by the models' names.
+def evaluate_files(arguments: argparse.Namespace) -> int:
+    """Score files of models on recordings; returns the exit code; raises GalenError.
 
-    by_position: of each, the score at each position. notes: sentences.
+    Of several recordings, one that can't be used is named, and the others are evaluated.
     """
-
-    recording: Recording
-    predicted: Mapping[str, PredictedSamples]
-    scores: Mapping[str, Score]
-    by_position: Mapping[str, Mapping[int, Score]]
-    notes: tuple[str, ...]
-    pictures: tuple[Path, ...]
-
-
-@dataclass(frozen=True)
-class EvaluationJob:
-    """What is to be done with each bag.
-
-    models: files by the names that they have in tables. names: what each bag's pictures are called.
-    """
-
-    models: Mapping[str, Path]
-    settings: ReadSettings
-    plots: Path | None = None
-    names: Mapping[Path, str] = field(default_factory=dict)
-
-    def __call__(self, bag: Path) -> dict[str, Any]:
-        """Evaluate one bag; returns plain numbers and texts."""
-        return to_dict(self.evaluate(bag))
-
-    def evaluate(
-        self, bag: Path, on_progress: Callable[[int, int | None], None] | None = None
-    ) -> Evaluation:
-        """Evaluate one bag; raises GalenError that names the bag or file."""
-        models = {name: read_model(path) for name, path in self.models.items()}
-        tool = find_tool(bag, self.settings)
-        for name, model in models.items():
-            _check_tip(self.models[name], model, bag, tool)
-        recording = read_recording(bag, self.settings, on_progress)
-        samples = recording.samples
-        predicted = {name: model.predict(samples) for name, model in models.items()}
-        notes = [
-            f"{self.models[name]} was fitted to {bag} and to nothing else, by its noise: its scores"
-            " say little of other recordings"
-            for name, model in models.items()
-            if _same_noise(model, recording)
-        ]
-        pictures: list[Path] = []
-        if self.plots is not None:
-            from galen_deflection.scoring.pictures import plot_models  # slow to import
-
-            folder, name = self.plots, self.names.get(bag, bag.stem)
-            with writing(folder):
-                pictures = plot_models(samples, predicted, folder, name, name)
-        return Evaluation(
-            recording,
-            predicted,
-            {name: score(samples, one) for name, one in predicted.items()},
-            {name: by_position(samples, one) for name, one in predicted.items()},
-            tuple(notes),
-            tuple(pictures),
-        )
+    bags, settings = find_bags(arguments.inputs), read_settings(arguments)
+    paths = _model_names(list(dict.fromkeys(arguments.model)))
+    models = {name: read_model(path) for name, path in paths.items()}
+    names = distinct_names(bags)
+    rows: list[dict[str, Any]] = []
+    to = terminal(TABLE_WIDTH)
+    with progress(None, "msg", quiet=arguments.json) as bar:
+        for bag in bags:
+            try:
+                for name, model in models.items():
+                    _check_tip(paths[name], model, bag, settings.tool_of(bag))
+                recording = read_recording(bag, settings, _shown_by(bar))
+                row, scores = _scored(recording, models, paths)
+                row["plots"] = _plots(
+                    arguments.plots, recording.samples, _predicted(recording, models), names[bag]
+                )
+            except GalenError as error:
+                if len(bags) == 1:
+                    raise
+                rows.append({"bag": str(bag), "error": str(error)})
+                continue
+            rows.append(row)
+            if not arguments.json:
+                print_problems([recording], to)
+                to.print(score_table(scores, f"{bag}, tool {recording.tool.tool}"))
+                for note in [*row["notes"], *(f"plot: {path}" for path in row["plots"])]:
+                    to.print(f"[yellow]{note}[/yellow]", soft_wrap=True)
+    failed = [row for row in rows if "error" in row]
+    if arguments.json:
+        print_json(rows[0] if len(bags) == 1 else {"bags": rows})
+    for row in failed if not arguments.json else ():
+        to.print(f"[red]{row['error']}[/red]", soft_wrap=True)
+    return EXIT_FAILED if failed else EXIT_OK
 
 
-def to_dict(result: Evaluation) -> dict[str, Any]:
-    """For JSON: mm, mrad, mJ; no NaN."""
-    recording = result.recording
-    return {
+def _scored(
+    recording: Recording, models: Mapping[str, DeflectionModel], paths: Mapping[str, Path]
+) -> tuple[dict[str, Any], dict[str, Score]]:
+    """For JSON (mm, mrad, no NaN), and for a table: each model, in all and at each position."""
+    samples = recording.samples
+    found: dict[str, Any] = {}
+    scores: dict[str, Score] = {}
+    notes = []
+    for name, predicted in _predicted(recording, models).items():
+        parts = by_position(samples, predicted)
+        scores[name] = score(samples, predicted)
+        if len(parts) > 1:
+            scores |= {f"{name}, position {number}": part for number, part in parts.items()}
+        found[name] = scores[name].to_json() | {
+            "by_position": {str(number): part.to_json() for number, part in parts.items()}
+        }
+        # No other recording has the same sixteen digits.
+        if np.allclose(models[name].noise, samples.noise, rtol=1e-12, atol=0.0):
+            notes.append(
+                f"{paths[name]} was fitted to {recording.path} and to nothing else, by its noise:"
+                " its scores don't hold for other recordings"
+            )
+    row = {
         "bag": str(recording.path),
         "tool": recording.tool.tool,
-        "samples": len(recording.samples),
+        "samples": len(samples),
         "problems": list(recording.problems),
-        "notes": list(result.notes),
+        "notes": notes,
         "positions": {
             str(number): recording.positions[number].tolist()
-            for number in np.unique(recording.samples.position).tolist()
+            for number in np.unique(samples.position).tolist()
         },
-        "models": {
-            name: one.to_dict()
-            | {
-                "by_position": {
-                    str(position): part.to_dict()
-                    for position, part in result.by_position[name].items()
-                }
-            }
-            for name, one in result.scores.items()
-        },
-        "plots": [str(path) for path in result.pictures],
+        "models": found,
     }
+    return row, scores
+
+
+def _predicted(
+    recording: Recording, models: Mapping[str, DeflectionModel]
+) -> dict[str, PredictedSamples]:
+    return {name: model.predict(recording.samples) for name, model in models.items()}
 
 
 def _check_tip(path: Path, model: DeflectionModel, bag: Path, tool: CalibrationFile) -> None:
-    """Raise ModelFileError for another tip than the model's."""
+    """Raise DeflectionError for another tip than the model's."""
     tip, own = np.asarray(tool.tip_m, dtype=float), np.asarray(model.tip_m)
     if not np.allclose(own, tip, atol=1e-9):
-        raise ModelFileError(
+        raise DeflectionError(
             f"{path}: was fitted for a tool with its tip at {own.tolist()} m in ft_sensor, but"
             f" {bag} was recorded with {tool.tool}, whose tip is at {tip.tolist()} m"
         )
 
 
-def _same_noise(model: DeflectionModel, recording: Recording) -> bool:
-    """Whether the model was fitted to just this: no other recording has the same sixteen digits."""
-    return np.allclose(model.noise, recording.samples.noise, rtol=1e-12, atol=0.0)
-
-
-def model_names(paths: Sequence[Path]) -> Mapping[str, Path]:
-    """Name models' files by their kinds, and by their paths where two are of one kind."""
+def _model_names(paths: Sequence[Path]) -> Mapping[str, Path]:
+    """Models' files by their kinds, and by their paths where two are of one kind."""
     kinds = [read_model(path).name for path in paths]
     apart = distinct_names(paths)
     return {
@@ -148,64 +145,107 @@ def model_names(paths: Sequence[Path]) -> Mapping[str, Path]:
     }
 
 
-def _print(result: Evaluation, to: Console) -> None:
-    print_problems([result.recording], to)
-    recording = result.recording
-    for name, one in result.scores.items():
-        to.print(axis_table(one, f"{name}: {recording.path}, tool {recording.tool.tool}"))
-        parts = {f"position {number}": part for number, part in result.by_position[name].items()}
-        if len(parts) > 1:
-            to.print(comparison_table(parts, f"{name}, by position", width=to.width))
-    if len(result.scores) > 1:
-        to.print(comparison_table(result.scores, "all models", width=to.width))
-    for note in result.notes:
-        to.print(f"[yellow]{note}[/yellow]", soft_wrap=True)
-    for path in result.pictures:
-        to.print(f"plot: {path}", soft_wrap=True)
+def _shown_by(bar: Any) -> Callable[[int, int | None], None]:
+    def show(done: int, total: int | None) -> None:
+        bar.total = total
+        bar.update(done - bar.n)
+
+    return show
 
 
-def run(arguments: argparse.Namespace) -> int:
-    """Evaluate files of models as the options say; returns the exit code; raises GalenError."""
-    bags = find_bags(arguments.inputs)
-    settings = read_settings(arguments)
-    models = model_names(list(dict.fromkeys(arguments.model)))
-    plots = arguments.plots
-    if arguments.scheduler:
-        # A cluster's workers have another working directory.
-        bags = [bag.absolute() for bag in bags]
-        models = {name: path.absolute() for name, path in models.items()}
-        plots = None if plots is None else plots.absolute()
-        if not settings.tool_beside:
-            settings = replace(settings, tool=settings.tool.absolute())
-    job = EvaluationJob(models, settings, plots, distinct_names(bags))
-    if len(bags) == 1 and not arguments.scheduler:
-        with progress(None, "msg", quiet=arguments.json) as bar:
+def _plots(
+    folder: Path | None,
+    samples: DeflectionSamples,
+    predicted: Mapping[str, PredictedSamples],
+    name: str,
+) -> list[str]:
+    if folder is None or not predicted:
+        return []
+    from galen_deflection.scoring.plots import plot_models  # slow to import
 
-            def show(done: int, total: int | None) -> None:
-                bar.total = total
-                bar.update(done - bar.n)
+    with writing(folder):
+        return [str(path) for path in plot_models(samples, predicted, folder, name)]
 
-            result = job.evaluate(bags[0], show)
-        if arguments.json:
-            print_json(to_dict(result))
-        else:
-            _print(result, terminal(TABLE_WIDTH))
-        return EXIT_OK
-    outcomes = run_many(
-        job,
-        bags,
-        scheduler=arguments.scheduler,
-        workers=arguments.workers,
-        progress=not arguments.json,
-    )
-    rows = json_rows(outcomes)
+
+# Kinds of models
+
+
+def evaluate_kinds(arguments: argparse.Namespace) -> int:
+    """Fit kinds to a part of recordings and score the rest; returns the exit code.
+
+    Raises GalenError; a kind that can't be fitted is named, and the others are scored.
+    """
+    recordings = read_all(arguments.inputs, read_settings(arguments), arguments.json)
+    samples = join_recordings(recordings)
+    names = arguments.split or usual_splits(samples)
+    splits = {name: SPLITS[name](samples) for name in names}
+    kinds = list(dict.fromkeys(arguments.kinds or KINDS))
+    results, failed = [], False
+    to = terminal(TABLE_WIDTH)
+    if not arguments.json:
+        print_problems(recordings, to)
+    for name, parts in splits.items():
+        checked, errors = _cross_checked(name, kinds, samples, parts, arguments.json)
+        failed |= bool(errors)
+        some = next(iter(checked.values())).samples if checked else samples
+        predicted = {kind: one.predicted for kind, one in checked.items()}
+        plots = _plots(arguments.plots, some, predicted, name)
+        results.append(_split_to_json(name, checked, errors) | {"plots": plots})
+        if not arguments.json:
+            times = {kind: f"{np.mean(one.seconds):.1f} s" for kind, one in checked.items()}
+            scores = {kind: one.score for kind, one in checked.items()}
+            to.print(score_table(scores, f"split: {name}", {"a fit, CPU": times}))
+            for kind, error in errors.items():
+                to.print(f"[red]{kind}: {error}[/red]", soft_wrap=True)
+            for path in plots:
+                to.print(f"plot: {path}", soft_wrap=True)
     if arguments.json:
-        print_json({"bags": rows})
-    else:
-        to = terminal(TABLE_WIDTH)
-        named = [{"name": job.names[bag]} | row for bag, row in zip(bags, rows, strict=True)]
-        to.print(overview_table(named))
-        for row in rows:
-            for text in [*row.get("notes", ()), *([row["error"]] if "error" in row else [])]:
-                to.print(f"[yellow]{text}[/yellow]", soft_wrap=True)
-    return EXIT_FAILED if any("error" in row for row in rows) else EXIT_OK
+        content = {
+            "bags": [str(recording.path) for recording in recordings],
+            "tool": recordings[0].tool.tool,
+            "problems": {str(one.path): list(one.problems) for one in recordings},
+            "comparisons": results,
+        }
+        print_json(content)
+    return EXIT_FAILED if failed else EXIT_OK
+
+
+def _cross_checked(
+    name: str,
+    kinds: Sequence[str],
+    samples: DeflectionSamples,
+    splits: Sequence[Split],
+    quiet: bool,
+) -> tuple[dict[str, Checked], dict[str, str]]:
+    """What each kind came to, or the reason why it could not be fitted."""
+    checked: dict[str, Checked] = {}
+    errors: dict[str, str] = {}
+    with progress(len(splits) * len(kinds), "fit", quiet=quiet) as bar:
+
+        def show(done: int, total: int, what: str) -> None:
+            bar.set_postfix_str(f"{what} {done}/{total}")
+
+        for number, kind in enumerate(kinds, start=1):
+            bar.set_description(f"{name}, {kind}")
+            settings = FitSettings(on_progress=show)
+            try:
+                checked[kind] = cross_check(kind, samples, splits, settings, bar.update)
+            except GalenError as error:
+                errors[kind] = str(error)
+                bar.update(number * len(splits) - bar.n)
+    return checked, errors
+
+
+def _split_to_json(
+    name: str, checked: Mapping[str, Checked], errors: Mapping[str, str]
+) -> dict[str, Any]:
+    kinds: dict[str, Any] = {kind: {"error": error} for kind, error in errors.items()}
+    for kind, one in checked.items():
+        parts = by_position(one.samples, one.predicted)
+        kinds[kind] = one.score.to_json() | {
+            "fit_cpu_s": list(one.seconds),
+            "rmse_over_noise_by_position": {
+                str(position): part.ratio_of() for position, part in parts.items()
+            },
+        }
+    return {"split": name, "kinds": kinds}

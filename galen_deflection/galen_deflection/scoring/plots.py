@@ -1,19 +1,15 @@
-"""Pictures of deflection: the report's figures, and predicted against measured.
+"""Pictures of deflection: the report's figures 3 to 5, and measured over predicted.
 
-Of the report's figures only the captions and the text are known. Here they are:
-
-| figure | shows | here |
-|---|---|---|
-| 3 | true and predicted deflection, independent axes, trained at the same joints | `plot_course` |
-| 4 | the same, trained at other joints | `plot_course` |
-| 5 | the same as 3, coupled axes | `plot_course` |
-| 7 | the network's training | `plot_training` |
-| 10, 11 | predicted and actual deflection along x, two examples | `plot_axis` |
-"""
+| file | shows |
+|---|---|
+| `<name>_course_<model>.png` | measured and predicted over time, at the position where the models are worst |
+| `<name>_over_predicted_<model>.png` | measured over predicted, all samples |
+"""  # noqa: E501 - a table's row is a line
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib
@@ -26,7 +22,6 @@ from galen_model.files.atomic_file import save_figure
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from galen_deflection.measurement.pushes import tip_wrench
 from galen_deflection.measurement.samples import DeflectionSamples
 from galen_deflection.models.interface import PredictedSamples
 from galen_deflection.scoring.score import AXES
@@ -34,74 +29,68 @@ from galen_deflection.scoring.score import AXES
 _MEASURED = "#8c8c8c"
 _COLOURS = ("#c44e52", "#1f6f8b", "#55a868", "#8172b3", "#dd8452", "#937860", "#e377c2")
 _UNITS = ("mm", "mm", "mm", "mrad", "mrad", "mrad")
-_PAUSE_S = 0.5  # what a gap between two segments is drawn as
+_PAUSE_S = 0.5  # a gap between two segments is drawn as long
 _SIGMAS = 2.0
 
 
-def plot_course(
+def plot_models(
     samples: DeflectionSamples,
     predictions: Mapping[str, PredictedSamples],
-    path: Path,
-    title: str = "",
-    axes: Sequence[int] = (0, 1, 2),
-) -> Path:
-    """Measured and predicted deflection over time, an axis a row; returns `path`.
+    folder: Path,
+    name: str,
+) -> list[Path]:
+    """Draw the module's pictures of predictions by models' names; returns the files.
 
-    Predictions by their models' names; `axes` in the order of `AXES`. Time between segments is left
-    out. One prediction alone has a band: two of its standard deviations.
+    `name` begins the files' names and the titles. Raises OSError.
     """
-    figure, panels = plt.subplots(
-        len(axes), 1, figsize=(12, 1.0 + 2.2 * len(axes)), sharex=True, squeeze=False
-    )
+    folder.mkdir(parents=True, exist_ok=True)
+    samples = _rejoined(samples)
+    written = []
+    position = _worst_position(samples, predictions)
+    set_number = samples.set_number[samples.position == position][0]
+    rows = (samples.position == position) & (samples.set_number == set_number)
+    for model, predicted in predictions.items():
+        written += [
+            plot_course(
+                samples.rows(rows),
+                predicted.rows(rows),
+                folder / f"{name}_course_{model}.png",
+                f"{name}; {model}, position {position}: where the models are worst",
+            ),
+            plot_true_over_predicted(
+                samples,
+                predicted,
+                folder / f"{name}_over_predicted_{model}.png",
+                f"{name}; {model}, all that was checked",
+            ),
+        ]
+    return written
+
+
+def plot_course(
+    samples: DeflectionSamples, predicted: PredictedSamples, path: Path, title: str = ""
+) -> Path:
+    """Draw measured and predicted translation over time, an axis a row; returns `path`.
+
+    The band is two standard deviations of the prediction. Time between segments is left out.
+    """
+    figure, panels = plt.subplots(3, 1, figsize=(12, 7.6), sharex=True)
     time, borders = _drawn_time(samples)
-    for panel, axis in zip(panels[:, 0], axes, strict=True):
-        _draw_course(panel, time, samples, predictions, axis)
+    for axis, panel in enumerate(panels):
+        _draw_course(panel, time, samples, predicted, axis)
         for border in borders:
             panel.axvline(border, color="black", lw=0.5, ls=":")
         panel.margins(x=0.0)
-    panels[-1, 0].set_xlabel("time, s" + (" (dotted: time left out)" if borders else ""))
-    _legend(panels[0, 0])
-    return _written(figure, title, path)
-
-
-def plot_axis(
-    samples: DeflectionSamples,
-    predictions: Mapping[str, PredictedSamples],
-    path: Path,
-    axis: int = 0,
-    title: str = "",
-) -> Path:
-    """One axis from near: over time on the left, over the load along it on the right.
-
-    The right panel shows the loops. `samples` should be few: some pushes. Returns `path`.
-    """
-    figure, (left, right) = plt.subplots(
-        1, 2, figsize=(13, 4.6), gridspec_kw={"width_ratios": (2.2, 1.0)}
-    )
-    time, borders = _drawn_time(samples)
-    _draw_course(left, time, samples, predictions, axis)
-    for border in borders:
-        left.axvline(border, color="black", lw=0.5, ls=":")
-    left.margins(x=0.0)
-    left.set_xlabel("time, s")
-    _legend(left)
-    load = tip_wrench(samples)[:, axis]
-    right.plot(load, 1e3 * samples.deflection[:, axis], ".", color=_MEASURED, ms=2.5)
-    breaks = np.flatnonzero(np.diff(samples.segment)) + 1
-    for colour, predicted in zip(_cycled(predictions), predictions.values(), strict=True):
-        # A line over a border would be a load that was not applied.
-        drawn = np.insert(1e3 * predicted.mean[:, axis], breaks, np.nan)
-        right.plot(np.insert(load, breaks, np.nan), drawn, color=colour, lw=1.0)
-    right.set_xlabel(f"{'force' if axis < 3 else 'torque'} along {AXES[axis][-1]} at the tip, "
-                     f"{'N' if axis < 3 else 'N.m'}")  # fmt: skip
-    right.set_ylabel(f"{AXES[axis]}, {_UNITS[axis]}")
+    panels[-1].set_xlabel("time, s" + (" (dotted: time left out)" if borders else ""))
+    panels[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncol=6, frameon=False,
+                     markerscale=4.0, fontsize=9)  # fmt: skip
     return _written(figure, title, path)
 
 
 def plot_true_over_predicted(
     samples: DeflectionSamples, predicted: PredictedSamples, path: Path, title: str = ""
 ) -> Path:
-    """Measured over predicted, six panels, a colour a position; returns `path`.
+    """Draw measured over predicted, six panels, a colour a position; returns `path`.
 
     A perfect prediction lies on the diagonal, within the noise: the band is two of its standard
     deviations. Crosses are samples that the model calls extrapolated.
@@ -120,9 +109,7 @@ def plot_true_over_predicted(
                 if rows.any():
                     panel.plot(across[rows], up[rows], marker, color=colour, ms=size,
                                label=f"position {position}{what}", rasterized=True)  # fmt: skip
-        low = min(float(across.min()), float(up.min()))
-        high = max(float(across.max()), float(up.max()))
-        ends = np.array([low, high])
+        ends = np.array([min(across.min(), up.min()), max(across.max(), up.max())])
         width = _SIGMAS * 1e3 * float(samples.noise[axis])
         panel.fill_between(ends, ends - width, ends + width, color="black", alpha=0.12, lw=0)
         panel.plot(ends, ends, color="black", lw=0.8)
@@ -133,63 +120,20 @@ def plot_true_over_predicted(
     return _written(figure, title, path)
 
 
-def plot_training(
-    training_loss: Sequence[float],
-    check_loss: Sequence[float],
-    path: Path,
-    best: int | None = None,
-    unit: str = "root mean square error / noise",
-    title: str = "",
-) -> Path:
-    """A network's training: its loss after every iteration, on what it learns and what it doesn't.
-
-    Lists of equal length, or no `check_loss` where nothing was held out; `best` counts from 0, the
-    iteration that was kept. Returns `path`. Raises ValueError for other lengths, or an empty list.
-    """
-    if len(check_loss) not in (0, len(training_loss)) or not len(training_loss):
-        raise ValueError(
-            f"{len(training_loss)} losses of training and {len(check_loss)} of checking"
-        )
-    figure, panel = plt.subplots(figsize=(9, 4.6))
-    iterations = np.arange(1, len(training_loss) + 1)
-    panel.plot(iterations, training_loss, color=_COLOURS[1], lw=1.2, label="training sets")
-    if len(check_loss):
-        panel.plot(iterations, check_loss, color=_COLOURS[0], lw=1.2, label="held out")
-    if best is not None:
-        panel.axvline(best + 1, color="black", lw=0.8, ls="--", label=f"kept: {best + 1}")
-    panel.set_yscale("log")
-    panel.yaxis.set_major_formatter("{x:g}")
-    panel.yaxis.set_minor_formatter("{x:g}")
-    panel.set_xlabel("iteration")
-    panel.set_ylabel(unit)
-    panel.grid(which="both", alpha=0.25)
-    panel.legend(frameon=False)
-    return _written(figure, title, path)
-
-
-# --- inside -------------------------------------------------------------------------------------
-
-
 def _draw_course(
-    panel: Axes,
-    time: Array,
-    samples: DeflectionSamples,
-    predictions: Mapping[str, PredictedSamples],
-    axis: int,
+    panel: Axes, time: Array, samples: DeflectionSamples, predicted: PredictedSamples, axis: int
 ) -> None:
     panel.axhline(0.0, color="black", lw=0.6)
     panel.plot(time, 1e3 * samples.deflection[:, axis], ".", color=_MEASURED, ms=2.0,
                label="measured", rasterized=True)  # fmt: skip
+    # A line over a border would be a deflection that was not predicted.
     breaks = np.flatnonzero(np.diff(samples.segment)) + 1
     drawn_time = np.insert(time, breaks, np.nan)
-    for colour, (name, predicted) in zip(_cycled(predictions), predictions.items(), strict=True):
-        mean = np.insert(1e3 * predicted.mean[:, axis], breaks, np.nan)
-        panel.plot(drawn_time, mean, color=colour, lw=1.1, label=name)
-        if len(predictions) > 1:  # bands over bands can't be distinguished
-            continue
-        width = _SIGMAS * 1e3 * np.sqrt(predicted.covariance[:, axis, axis])
-        width = np.insert(width, breaks, np.nan)
-        panel.fill_between(drawn_time, mean - width, mean + width, color=colour, alpha=0.18, lw=0)
+    mean = np.insert(1e3 * predicted.mean[:, axis], breaks, np.nan)
+    panel.plot(drawn_time, mean, color=_COLOURS[0], lw=1.1, label="predicted")
+    width = _SIGMAS * 1e3 * np.sqrt(predicted.covariance[:, axis, axis])
+    width = np.insert(width, breaks, np.nan)
+    panel.fill_between(drawn_time, mean - width, mean + width, color=_COLOURS[0], alpha=0.18, lw=0)
     panel.set_ylabel(f"{AXES[axis]}, {_UNITS[axis]}")
 
 
@@ -204,13 +148,22 @@ def _drawn_time(samples: DeflectionSamples) -> tuple[Array, list[float]]:
     return time, borders
 
 
-def _cycled(names: Mapping[str, object]) -> list[str]:
-    return [_COLOURS[k % len(_COLOURS)] for k in range(len(names))]
+def _rejoined(samples: DeflectionSamples) -> DeflectionSamples:
+    """With segments that end only where time does, and not where a split cut them."""
+    step_ns = np.diff(samples.stamp_ns)
+    within = np.abs(step_ns) <= 2.5 * np.median(np.abs(step_ns)) if len(step_ns) else step_ns == 0
+    same = (np.diff(samples.segment) == 0) | within
+    return replace(samples, segment=np.concatenate([[0], np.cumsum(~same)]))
 
 
-def _legend(panel: Axes) -> None:
-    panel.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncol=6, frameon=False,
-                 markerscale=4.0, fontsize=9)  # fmt: skip
+def _worst_position(samples: DeflectionSamples, predictions: Mapping[str, PredictedSamples]) -> int:
+    """Where the models' errors over the noise, each in units of that model's own, are largest."""
+    positions = np.unique(samples.position)
+    total = np.zeros(len(positions))
+    for predicted in predictions.values():
+        square = np.mean(((predicted.mean - samples.deflection) / samples.noise) ** 2, axis=1)
+        total += [square[samples.position == p].mean() / square.mean() for p in positions]
+    return int(positions[np.argmax(total)])
 
 
 def _written(figure: Figure, title: str, path: Path) -> Path:

@@ -1,64 +1,65 @@
-"""The contract's arm with hysteresis in its springs: roll, tilt, carriages and rods.
+"""Fits of the springs: alone (`joint_stiffness`), and with hysteresis (`joint_hysteresis`).
 
-Each of these springs deflects by
+The tip's compliance depends on where the arm stands, and is linear in the springs' compliances 1/k
+(`galen_deflection.models.springs` has the proof), so that they come from linear least squares, none
+below zero. What the samples do not determine stays
+near the nominal value and is named.
+
+With hysteresis each of these springs deflects by
 
     d = c l + sum_i w_i play_i(l),   c, w_i >= 0,
 
-with play operators of its load l (`galen_model.transmission.play`). This is linear in c and
+with play operators of its load l (`galen_model.play`). This is linear in c and
 w for given thresholds, so that non-negative least squares finds them; thresholds lie on a grid of
-shares of the largest load of each kind of spring. How fine a grid is worth it, folds that a fit
-has not seen tell.
+shares of the largest load of each kind of spring. How fine a grid pays is decided by folds that a
+fit has not seen.
 
 That is what dry friction does. Other forms are tried as well:
 
 - smooth plays, for friction that deflects before it slides and whose loops shift;
 - plays of the platform's six motions, as the springs alone would make them, in place of plays of
   carriages and rods: hysteresis that is not known to sit in one of its parts;
-- stops, l - play(l), in place of either. Plays lag behind the load: after a push something of the
-  deflection is left on its side. With stops it is left on the other side, the deflection leads. No
-  joint does that, since it would give out more work than it takes; a wrench that is measured with
-  hysteresis looks so.
+- stops, l - play(l), in place of either. Plays lag behind the load: after a push a residual
+  deflection is on its side. With stops it is on the other side, the deflection leads. No joint does
+  that, since it would give out more work than it takes; a wrench that is measured with hysteresis
+  looks like this.
 
 Of no hysteresis at all and these forms, the first is taken that is within two standard errors of
 the best, or within 1 % of its mean square: folds are few, and a memory that the arm does not have
 is worse than one of a tenth of the noise that is missed. Then, of its grids, the coarsest within
-two standard errors. The model's notes say if it is another form than the first.
+two standard errors. The model's notes name another form than the first.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from galen_model.arrays import Array
 
 from galen_deflection.measurement.samples import DeflectionSamples
-from galen_deflection.models.hysteresis_basis import (
-    COLUMNS,
-    JOINTS,
+from galen_deflection.models.interface import FitSettings
+from galen_deflection.models.least_squares import Sums, finished, held_out_cost, solve, sums
+from galen_deflection.models.spring_model import (
+    HYSTERESIS,
     PLATFORM,
+    STIFFNESS,
     STOPS,
-    UNDER_PLATFORM,
-    HysteresisBasis,
     Operator,
     Shape,
+    SpringBasis,
+    SpringModel,
+    SpringRun,
 )
-from galen_deflection.models.interface import FitSettings
-from galen_deflection.models.joint_stiffness import COMPLIANCES, StiffnessBasis
-from galen_deflection.models.least_squares import Sums, finished, held_out_cost, solve, sums
-from galen_deflection.models.linear import LinearModel, tip_from_json
-from galen_deflection.models.linear import from_json as linear_from_json
-from galen_deflection.springs.springs import kinds
-
-KIND = "joint_hysteresis"
 
 GRID = (0.025, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8)
 """Thresholds over the largest load. The finest: what a joint keeps of a small push."""
 
 SMOOTH_GRID = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
-"""The same of smooth operators, which begin to give at once, however large their threshold."""
+"""The same of smooth operators, which deflect at once, however large their threshold."""
 
 _EVERY: tuple[tuple[Shape, float], ...] = (
     *(("play", share) for share in GRID),
@@ -71,59 +72,50 @@ GRIDS: dict[Shape, tuple[tuple[float, ...], ...]] = {
 }
 """What is tried after no hysteresis at all; each a part of GRID or SMOOTH_GRID."""
 
-DISPLACEMENTS = ("roll", "tilt", PLATFORM)
-"""The three displacements that add up at the tip: contract, section 2."""
+SHAPES: tuple[Shape, ...] = ("play", "smooth_play", "stop", "smooth_stop")
+"""What the operators are, most physical first; each in the springs, then in the platform."""
 
-FORMS: tuple[tuple[tuple[str, ...], Shape], ...] = (
-    (JOINTS, "play"),
-    (DISPLACEMENTS, "play"),
-    (JOINTS, "smooth_play"),
-    (DISPLACEMENTS, "smooth_play"),
-    (JOINTS, "stop"),
-    (DISPLACEMENTS, "stop"),
-    (JOINTS, "smooth_stop"),
-    (DISPLACEMENTS, "smooth_stop"),
-)
-"""Where the operators sit, and which they are, most physical first."""
+OF_PLATFORM = "hysteresis of the platform as a whole fits better than that of its parts"
+LEADS = "the deflection leads the load, as if joints gave out work: is the wrench hysteretic?"
 
 _SMALLEST_LOAD = 1e-12  # of a spring that nothing loads: a threshold must not be zero
 _STANDARD_ERRORS = 2.0
 _WORTH_IT = 0.01
 
-OF_PLATFORM = "hysteresis of the platform as a whole fits better than that of its parts"
-LEADS = "the deflection leads the load, as if joints gave out work: is the wrench hysteretic?"
+
+def fit_stiffness(samples: DeflectionSamples, settings: FitSettings | None = None) -> SpringModel:
+    """Fit the springs alone by weighted non-negative least squares; raises FitError."""
+    basis = SpringBasis(samples.tip_m)
+    return finished(STIFFNESS, basis, samples, sums(basis, samples, settings or FitSettings()))
 
 
-def fit(samples: DeflectionSamples, settings: FitSettings | None = None) -> LinearModel:
-    """Fit by weighted non-negative least squares; raises FitError, NegativeComplianceError."""
+def fit_hysteresis(samples: DeflectionSamples, settings: FitSettings | None = None) -> SpringModel:
+    """Fit the springs with hysteresis; raises FitError."""
     settings = settings or FitSettings()
     grid = _whole_grid(samples, settings)
     totals = sums(grid, samples, settings)
     chosen = _chosen(grid, totals)
-    found = solve(*chosen.totals.total(), chosen.basis.parameters, bounded=True)
-    wanted = np.flatnonzero(found.free[len(COMPLIANCES) :]).tolist()
+    found = solve(*chosen.totals.total(), chosen.basis.parameters)
+    wanted = np.flatnonzero(found.free[len(grid.compliances) :]).tolist()
     used = _Candidate.of(grid, totals, [chosen.operators[k] for k in wanted], chosen.shape)
-    model = finished(KIND, used.basis, samples, used.totals, only_nearby=False)
+    model = finished(HYSTERESIS, used.basis, samples, used.totals)
     operators = used.basis.operators
     notes = [OF_PLATFORM] * any(operator.place == PLATFORM for operator in operators)
     notes += [LEADS] * any(operator.shape in STOPS.values() for operator in operators)
     return replace(model, notes=tuple(notes))
 
 
-def from_json(content: Mapping[str, Any]) -> LinearModel:
-    """From a file's content; raises FieldError."""
-    return linear_from_json(content, HysteresisBasis.from_json(content, tip_from_json(content)))
-
-
-def _whole_grid(samples: DeflectionSamples, settings: FitSettings) -> HysteresisBasis:
+def _whole_grid(samples: DeflectionSamples, settings: FitSettings) -> SpringBasis:
     """Plays at all thresholds, in all places; the springs alone are the platform's reference."""
-    springs = StiffnessBasis(samples.tip_m)
-    reference = solve(*sums(springs, samples, settings).total(), COMPLIANCES, bounded=True).values
-    anywhere = tuple(Operator(place, "play", (0.0,) * len(COLUMNS[place])) for place in COLUMNS)
-    run = HysteresisBasis(samples.tip_m, anywhere, reference).run()
+    springs = SpringBasis(samples.tip_m)
+    reference = solve(*sums(springs, samples, settings).total(), springs.compliances).values
+    anywhere = tuple(
+        Operator(place, "play", (0.0,) * len(columns)) for place, columns in springs.columns.items()
+    )
+    run = SpringRun(SpringBasis(samples.tip_m, anywhere, reference))
     largest = np.abs(run.loads(samples.joints, samples.wrench)[3]).max(axis=0)
     operators = []
-    for place, columns in COLUMNS.items():
+    for place, columns in springs.columns.items():
         loads = largest[list(columns)]
         if place != PLATFORM:  # springs of a kind are alike
             loads = np.full_like(loads, loads.max())
@@ -131,7 +123,7 @@ def _whole_grid(samples: DeflectionSamples, settings: FitSettings) -> Hysteresis
         operators += [
             Operator(place, shape, tuple((share * loads).tolist())) for shape, share in _EVERY
         ]
-    return HysteresisBasis(samples.tip_m, tuple(operators), reference)
+    return SpringBasis(samples.tip_m, tuple(operators), reference)
 
 
 class _Candidate(NamedTuple):
@@ -139,19 +131,19 @@ class _Candidate(NamedTuple):
 
     operators: Sequence[int]
     shape: Shape
-    basis: HysteresisBasis
+    basis: SpringBasis
     totals: Sums
 
     @classmethod
     def of(
-        cls, grid: HysteresisBasis, totals: Sums, operators: Sequence[int], shape: Shape
+        cls, grid: SpringBasis, totals: Sums, operators: Sequence[int], shape: Shape
     ) -> _Candidate:
         """From the sums of the whole grid of plays; a stop's design is the load's less the play's.
 
         That is a combination of columns, so that nothing has to be summed up again.
         """
-        given = len(COMPLIANCES)
-        names = [kind.name for kind in kinds()]
+        given = len(grid.compliances)
+        names = [kind.name for kind in grid.kinds]
         combination = np.zeros((given + len(grid.operators), given + len(operators)))
         combination[:given, :given] = np.eye(given)
         for column, k in enumerate(operators, start=given):
@@ -161,20 +153,22 @@ class _Candidate(NamedTuple):
                 continue
             combination[given + k, column] = -1.0
             if place == PLATFORM:
-                combination[UNDER_PLATFORM, column] = grid.reference[UNDER_PLATFORM]
+                under = grid.under_platform
+                combination[under, column] = grid.platform_compliances[under]
             else:
                 combination[names.index(place), column] = 1.0
         return cls(operators, shape, grid.part(operators, shape), totals.combined(combination))
 
-    def held_out_cost(self) -> Array:
-        """As `least_squares.held_out_cost`."""
-        return held_out_cost(self.totals, self.basis)
 
-
-def _chosen(grid: HysteresisBasis, totals: Sums) -> _Candidate:
+def _chosen(grid: SpringBasis, totals: Sums) -> _Candidate:
     """The part of the grid that held-out folds choose: first the form, then how fine."""
+    springs = tuple(kind.name for kind in grid.kinds)
+    places = [springs]
+    if PLATFORM in grid.columns:  # the displacements that add up at the tip: contract, section 2
+        under = [springs[k] for k in grid.under_platform]
+        places.append((*(name for name in springs if name not in under), PLATFORM))
     forms = [[_Candidate.of(grid, totals, [], "play")]]
-    for places, shape in FORMS:
+    for shape, where in product(SHAPES, places):
         forms.append([])
         plays = next(play for play, stop in STOPS.items() if shape in (play, stop))
         for shares in GRIDS[plays]:
@@ -182,10 +176,10 @@ def _chosen(grid: HysteresisBasis, totals: Sums) -> _Candidate:
             operators = [
                 k
                 for k, operator in enumerate(grid.operators)
-                if operator.place in places and _EVERY[k % len(_EVERY)] in wanted
+                if operator.place in where and _EVERY[k % len(_EVERY)] in wanted
             ]
             forms[-1].append(_Candidate.of(grid, totals, operators, shape))
-    costs = [np.array([candidate.held_out_cost() for candidate in form]) for form in forms]
+    costs = [np.array([held_out_cost(one.totals, one.basis) for one in form]) for form in forms]
     best = np.array([cost[np.argmin(cost.sum(axis=1))] for cost in costs])
     form = _first_good(best, _WORTH_IT)
     return forms[form][_first_good(costs[form], 0.0)]
@@ -194,7 +188,7 @@ def _chosen(grid: HysteresisBasis, totals: Sums) -> _Candidate:
 def _first_good(costs: Array, share: float) -> int:
     """The first of (k, folds) whose cost is the least but for errors, or a share of the least.
 
-    One fold alone, which nothing was fitted to, says nothing of the others than the first.
+    A single fold, which nothing was fitted to, decides nothing: the first.
     """
     if costs.shape[1] < 2:
         return 0

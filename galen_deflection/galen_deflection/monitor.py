@@ -10,7 +10,7 @@ from galen_ros.stream.monitor import RATE_WINDOW_S, Severity, State, StreamMonit
 from galen_ros.stream.samples import Rejection
 from galen_ros.stream.watches import FROZEN_S
 
-from galen_deflection.live.deflector import Deflector, ModelRejection
+from galen_deflection.deflector import Deflector, ModelRejection
 
 # Of the compensator's reasons those that the deflector never has.
 _NOT_HERE = (Rejection.DISABLED, Rejection.NO_TOOL)

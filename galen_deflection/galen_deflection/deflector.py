@@ -5,32 +5,75 @@ reason. Which joints belong to a wrench is for `galen_ros.stream.pairing` to say
 compensator.
 
 A model with hysteresis remembers the loads that it was given, in their order. Whatever makes that
-memory doubtful makes it forget: its stream starts anew, and its covariance says how little it knows
-until loads have passed again. That is so after a gap in the wrenches longer than `memory_gap_s`
-(rejected ones count as lacking), after a restart of the driver, and when someone who knows more of
-the wrench says so by `forget`.
+memory doubtful makes it forget: its stream starts anew, and its covariance holds what is unknown
+until loads have passed again: after a gap in the wrenches longer than `memory_gap_s` (rejected ones
+count as lacking), after a restart of the driver, and by `forget`.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.errors import KinematicsError
-from galen_ros.stream.pairing import PairedWrench, WrenchPairing
-from galen_ros.stream.samples import Rejected
+from galen_model.rotation import matrix_to_quaternion
+from galen_ros.parameters import param
+from galen_ros.stream.pairing import StreamParameters, WrenchPairing
+from galen_ros.stream.samples import PairedWrench, Rejected
 
-from galen_deflection.live.corrected_tip import CorrectedTip, TipPose
-from galen_deflection.live.parameters import DeflectionParameters
-from galen_deflection.models.interface import DeflectionModel, Predicted, Stream
+from galen_deflection.models.file import DeflectionModel
+from galen_deflection.models.interface import Predicted
+from galen_deflection.models.network import NetworkStream
+from galen_deflection.models.spring_model import SpringStream
 
 TIP_TOLERANCE_M = 1e-5
-"""So far may the tip that a model was fitted for lie from the tool's: a third of what the tracker's
-noise is.
-"""
+"""Largest distance of a model's tip from the tool's: a third of the tracker's noise."""
+
+
+@dataclass(frozen=True)
+class DeflectionParameters(StreamParameters):
+    """Parameters of the node. Times of samples are by their stamps."""
+
+    model_file: str = param(
+        "",
+        "file of the model, as `train` writes it; `~` is expanded; empty: nothing is published."
+        " Setting it again reads it again; a file that can't be used is rejected, and the active"
+        " model stays",
+        read_only=False,
+    )
+    sensor_frame: str = param("ft_sensor", "frame_id that `wrench_compensated` must have")
+    joint_names: tuple[str, ...] = param(
+        GALEN.joint_names,
+        "names in `joint_states` of the arm's joints, in their order",
+    )
+    memory_gap_s: float = param(
+        0.1,
+        "s; after a longer time without a usable wrench, loads may have come and gone unseen: the"
+        " hysteresis is forgotten",
+        minimum=0.002,
+        maximum=10.0,
+    )
+    gravcomp_node: str = param(
+        "gravcomp",
+        "name of the compensation's node, whose tool and tare are followed on `/diagnostics`;"
+        " empty: they are not",
+    )
+
+    def validate(self) -> None:
+        """Check what no single range can say."""
+        super().validate()
+        count = len(GALEN.joints)
+        if len(self.joint_names) != count or len(set(self.joint_names)) != count:
+            raise ValueError(
+                f"parameter 'joint_names' is {list(self.joint_names)}, but must name {count}"
+                f" joints: {', '.join(GALEN.joint_names)}, or what they are called here"
+            )
 
 
 class ModelRejection(Enum):
@@ -44,11 +87,14 @@ class ModelRejection(Enum):
 
 
 class Deflected(NamedTuple):
-    """A deflection at the stamp of its wrench, and the tip's pose with it, in base_link."""
+    """A deflection at the stamp of its wrench, and the tip's pose with it, in base_link.
+
+    tip: position (3,), m, and quaternion xyzw.
+    """
 
     stamp_ns: int
     predicted: Predicted
-    tip: TipPose
+    tip: tuple[tuple[float, ...], tuple[float, ...]]
     tag: object
     number: int  # of the wrench in the order of arrival, from 0
     joints: tuple[float, ...]  # at the stamp, m and rad
@@ -79,8 +125,7 @@ class Deflector:
         self._on_forgotten = on_forgotten
         self._model: DeflectionModel | None = None
         self._why_none = "no model is loaded"
-        self._stream: Stream | None = None
-        self._corrected: CorrectedTip | None = None
+        self._stream: SpringStream | NetworkStream | None = None
         self._tool = ""
         self._tool_tip_m: Array | None = None
         self._other_tip = ""
@@ -111,7 +156,6 @@ class Deflector:
         self._model = model
         self._why_none = why_none
         self._stream = None if model is None else model.stream()
-        self._corrected = None if model is None else CorrectedTip(np.asarray(model.tip_m))
         self._fed_ns = None
         self.last = None
         return self._compare_tips()
@@ -138,7 +182,7 @@ class Deflector:
     def push_joints(
         self, stamp_ns: int, positions: tuple[float, ...]
     ) -> list[Deflected | Rejected]:
-        """Take joints (5,), m and rad; returns what became of the wrenches that waited."""
+        """Take joints (j,), m and rad; returns what became of the wrenches that waited."""
         return self._made(self.pairing.push_joints(stamp_ns, positions))
 
     def push_wrench(
@@ -186,7 +230,7 @@ class Deflector:
             return self.pairing.reject(stamp_ns, ModelRejection.OUT_OF_ORDER, detail, number)
         if fed_ns is not None and stamp_ns - fed_ns > self._memory_gap_ns:
             self.forget(f"no usable {topic} for {(stamp_ns - fed_ns) * 1e-9:.3f} s")
-        assert self._stream is not None and self._corrected is not None
+        assert self._stream is not None
         at = np.array(joints)
         try:
             predicted = self._stream.step(stamp_ns, at, raw)
@@ -202,18 +246,16 @@ class Deflector:
             return self.pairing.reject(stamp_ns, ModelRejection.NONFINITE, detail, number)
         self.predicted += 1
         self.extrapolated += predicted.extrapolated
-        tip = self._corrected(joints, mean)
+        tip = corrected_tip(*self._stream.tip_pose(at), mean)
         self.last = Deflected(stamp_ns, predicted, tip, tag, number, joints)
         return self.last
 
 
 class GravcompState(NamedTuple):
-    """What galen_gravcomp reports of itself on /diagnostics.
+    """The report of galen_gravcomp on /diagnostics: tool, when it was calibrated, tare.
 
-    The active tool, its tip (3,) in ft_sensor, m, when it was calibrated, and the tare.
-
-    `tool` is empty where none is loaded. `tare`: the offset subtracted, as text, and whether it
-    still comes in.
+    tool: empty where none is loaded; tip_m (3,) in ft_sensor, m. tare: the offset subtracted, as
+    text; ramping: it still comes in.
     """
 
     tool: str
@@ -247,6 +289,30 @@ class GravcompState(NamedTuple):
         if self.tare != before.tare or self.ramping != before.ramping:
             return "gravcomp's tare changed"
         return ""
+
+
+def corrected_tip(
+    rotation: Array, position: Array, deflection: Sequence[float]
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Displace the tip's pose: rotation (3, 3), position (3,), m; deflection (6,), m and rad.
+
+    A deflection is a rigid displacement: its translation adds to the tip's position, its rotation
+    vector, along the axes of base_link, turns the tip after the joints have, R' = exp(r^) R.
+    Returns the position and the quaternion xyzw.
+    """
+    x, y, z, w = matrix_to_quaternion(rotation).tolist()
+    px, py, pz = position.tolist()
+    dx, dy, dz, rx, ry, rz = deflection
+    angle = math.sqrt(rx * rx + ry * ry + rz * rz)
+    # sin(angle / 2) / angle; below, the next term of its series is lost in rounding
+    scale = math.sin(0.5 * angle) / angle if angle > 1e-9 else 0.5
+    a, b, c, d = scale * rx, scale * ry, scale * rz, math.cos(0.5 * angle)
+    return (px + dx, py + dy, pz + dz), (
+        d * x + a * w + b * z - c * y,
+        d * y + b * w + c * x - a * z,
+        d * z + c * w + a * y - b * x,
+        d * w - a * x - b * y - c * z,
+    )
 
 
 def _apart(one: Array, other: Array) -> bool:

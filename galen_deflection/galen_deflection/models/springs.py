@@ -1,0 +1,246 @@
+"""An arm as springs in series: its elastic joints, and a delta's carriages and rods.
+
+Contract section 2. A delta's platform stands on six rods with the square matrix A (6, 6) of their
+rows, so that rod forces f = A^-T w hold a wrench w at its centre, and the rods' lengthening e moves
+the centre by the twist A^-1 e. Rod j deflects by f_j / k_rod, and all rods of a carriage by the
+carriage's (G^T f)_i / k_q times n_z: e = f / k_rod + G G^T f / k_q. Since A is square,
+
+    C_p = K_p^-1 = A^-1 (I / k_rod + G G^T / k_q) A^-T
+
+is linear in the compliances 1/k_rod and 1/k_q, where K_p = A^T (...)^-1 A is not. Taken to the
+tip, and with the elastic joints beside it, this is a sum over all springs,
+
+    deflection = sum_s J_s d_s,   d_s = c_s l_s,   l_s = J_s^T w_tip,
+
+where J_s (6,) is what the tip does when the spring s deflects by one unit, and by virtual work also
+what the wrench at the tip loads it with: moments about revolute joints (N.m; d in rad), forces of
+prismatic joints, carriages and rods (N; d in m).
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from galen_model.arm.arm import Arm
+from galen_model.arm.galen import GALEN
+from galen_model.arrays import Array
+from galen_model.rotation import skew
+
+from galen_deflection.measurement.samples import DeflectionSamples
+
+# An arm that stands while it is pushed reports a few joint vectors again and again, since its
+# encoders have steps. Only a vector that is equal to the last bit gets what was calculated before.
+_KEPT_POSES = 64
+
+Vector = tuple[float, float, float]
+Columns = tuple[Vector, Vector, Vector]
+
+
+class Kind(NamedTuple):
+    """Springs that share their parameters; `springs` are columns, `compliance` the nominal."""
+
+    name: str
+    springs: range
+    compliance: float
+    load_unit: str
+    compliance_unit: str
+
+
+def kinds(arm: Arm = GALEN) -> tuple[Kind, ...]:
+    """Return the elastic joints in their order, then a delta's carriages and rods.
+
+    Nominal compliances 1/k in rad/(N.m) and m/N.
+    """
+    sizes = dict.fromkeys(arm.stiffness, 1) | {"carriage": 3, "rod": 6}
+    turning = set(arm.turning_names)
+    found, first = [], 0
+    for name, stiffness in arm.stiffness.items():
+        units = ("N.m", "rad/(N.m)") if name in turning else ("N", "m/N")
+        found.append(Kind(name, range(first, first + sizes[name]), 1.0 / stiffness, *units))
+        first += sizes[name]
+    return tuple(found)
+
+
+class Geometry(NamedTuple):
+    """Of n joint vectors, in base_link.
+
+    to_tip (n, 6, 6): takes wrenches from ft_sensor to the tip. jacobian (n, 6, s): the springs' J.
+    lever (n, 3): from a delta's platform to the tip. tip: R (n, 3, 3) and position (n, 3), m.
+    """
+
+    to_tip: Array
+    jacobian: Array
+    lever: Array
+    tip: tuple[Array, Array]
+
+
+class Springs:
+    """J of the tip, and the wrench there, for many joint vectors."""
+
+    def __init__(self, tip_m: Array, arm: Arm = GALEN) -> None:
+        """tip_m (3,): in ft_sensor."""
+        self._arm = arm
+        self._tip_m = np.asarray(tip_m, dtype=float)
+        self._elastic = [k for k, joint in enumerate(arm.joints) if np.isfinite(joint.stiffness)]
+        self._turns = np.array([[float(k in arm.turning)] for k in self._elastic])
+        self._chain = [
+            (
+                joint.kind == "revolute",
+                _vector(joint.axis),
+                _vector(joint.origin_m),
+                None if joint.rotation is None else _columns(joint.rotation),
+            )
+            for joint in arm.joints
+        ]
+        self._end = _vector(arm.sensor_origin_m), _columns(arm.sensor_rotation), _vector(tip_m)
+        if arm.delta is not None:
+            self._delta = arm.delta
+            self._balls = skew(arm.delta.ball_joints_m)
+        # t_tip = R (t - tip x f)
+        self._lever_to_tip = -skew(self._tip_m)
+        self._single = lru_cache(maxsize=_KEPT_POSES)(self._calculate_single)
+
+    def geometry(self, joints: Array) -> Geometry:
+        """Return the geometry at joints (n, j); calculated once for equal neighbours.
+
+        Don't change it: it may be given again. Raises KinematicsError where the rods don't reach.
+        """
+        if len(joints) == 1:
+            return self._single(joints.tobytes())
+        new = np.ones(len(joints), dtype=bool)
+        new[1:] = np.any(joints[1:] != joints[:-1], axis=1)
+        to_tip, jacobian, lever, (rotation, position) = self._calculate(joints[new])
+        which = np.cumsum(new) - 1
+        tip = rotation[which], position[which]
+        return Geometry(to_tip[which], jacobian[which], lever[which], tip)
+
+    def at_tip(self, joints: Array, wrench: Array) -> Array:
+        """Return wrenches (n, 6) at the tip in base_link, from joints (n, j) and ft_sensor's."""
+        rotation = self._arm.tip_pose(joints, self._tip_m)[0]
+        return np.asarray(np.matmul(self._to_tip(rotation), wrench[:, :, None])[:, :, 0])
+
+    def _calculate_single(self, packed: bytes) -> Geometry:
+        """As `_calculate`, of one joint vector's bytes: the arm's chain in plain floats."""
+        joints = np.frombuffer(packed)
+        turned: Columns = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+        at: Vector = (0.0, 0.0, 0.0)
+        origins, axes = [], []
+        for value, (revolute, axis, origin, fixed) in zip(
+            joints.tolist(), self._chain, strict=True
+        ):
+            at = _moved(at, turned, origin)
+            if fixed is not None:
+                turned = _product(turned, fixed)
+            axes.append(_moved((0.0, 0.0, 0.0), turned, axis))
+            if revolute:
+                turned = _product(turned, _about(axis, value))
+            else:
+                x, y, z = axis
+                at = _moved(at, turned, (value * x, value * y, value * z))
+            origins.append(at)
+        sensor, mount, tip = self._end
+        at = _moved(at, turned, sensor)
+        turned = _product(turned, mount)
+        return self._made(
+            joints[None],
+            np.array(turned).T[None],
+            np.array([_moved(at, turned, tip)]),
+            np.array([origins]),
+            np.array([axes]),
+        )
+
+    def _calculate(self, joints: Array) -> Geometry:
+        return self._made(
+            joints, *self._arm.tip_pose(joints, self._tip_m), *self._arm.joint_axes(joints)
+        )
+
+    def _made(
+        self, joints: Array, rotation: Array, position: Array, origins: Array, axes: Array
+    ) -> Geometry:
+        """Of the tip's pose, and the joints' origins and axes (n, j, 3)."""
+        # A revolute joint moves the tip by (axis x lever, axis), a prismatic one by (axis, 0).
+        axes, levers = axes[:, self._elastic], position[:, None] - origins[:, self._elastic]
+        across = np.matmul(skew(axes), levers[..., None])[..., 0]
+        linear = self._turns * across + (1.0 - self._turns) * axes
+        jacobian = np.concatenate([linear, self._turns * axes], axis=2).swapaxes(1, 2)
+        lever = np.zeros((len(joints), 3))
+        if self._arm.delta is not None:
+            lever = position - joints[:, :3]
+            platform = self._platform_springs(joints[:, :3], lever)
+            jacobian = np.concatenate([jacobian, platform], axis=2)
+        return Geometry(self._to_tip(rotation), jacobian, lever, (rotation, position))
+
+    def _to_tip(self, rotation: Array) -> Array:
+        """(n, 6, 6): from ft_sensor to the tip, then turned into base_link."""
+        matrices = np.zeros((len(rotation), 6, 6))
+        matrices[:, :3, :3] = matrices[:, 3:, 3:] = rotation
+        matrices[:, 3:, :3] = rotation @ self._lever_to_tip
+        return matrices
+
+    def _platform_springs(self, platform: Array, lever: Array) -> Array:
+        """Columns (n, 6, 9) of carriages and rods, at the tip."""
+        directions = self._rod_directions(platform)[:, :, :, None]
+        rows = np.concatenate([directions[..., 0], np.matmul(self._balls, directions)[..., 0]], 2)
+        rods = np.linalg.inv(rows)  # a column a rod: the centre's twist for a unit of lengthening
+        rods[:, :3] -= skew(lever) @ rods[:, 3:]
+        upward = rows[:, 0::2, 2]
+        carriages = (rods[:, :, 0::2] + rods[:, :, 1::2]) * upward[:, None, :]
+        return np.concatenate([carriages, rods], axis=2)
+
+    def _rod_directions(self, platform: Array) -> Array:
+        """Unit vectors (n, 6, 3) from carriage to platform, a rod each."""
+        delta = self._delta
+        across = platform[:, None, :2] - delta.feet_m
+        squared = delta.rod_length_m**2 - np.sum(across**2, axis=2)
+        beyond = (squared <= 0.0).any(axis=1)
+        if beyond.any():
+            delta.rod_directions(platform[np.argmax(beyond)])  # raises, naming the rod
+        directions = np.concatenate([across, np.sqrt(squared)[:, :, None]], axis=2)
+        return np.repeat(directions / delta.rod_length_m, 2, axis=1)
+
+
+def tip_wrench(samples: DeflectionSamples) -> Array:
+    """Return applied wrenches (n, 6) about the tip in base_link, N and N.m."""
+    return Springs(samples.tip_m).at_tip(samples.joints, samples.wrench)
+
+
+def _vector(values: Array) -> Vector:
+    x, y, z = (float(value) for value in values)
+    return x, y, z
+
+
+def _columns(matrix: Array) -> Columns:
+    x, y, z = (_vector(column) for column in matrix.T)
+    return x, y, z
+
+
+def _moved(at: Vector, columns: Columns, by: Vector) -> Vector:
+    """At + R by, with R by its columns."""
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = columns
+    a, b, c = by
+    return (
+        at[0] + a * xx + b * yx + c * zx,
+        at[1] + a * xy + b * yy + c * zy,
+        at[2] + a * xz + b * yz + c * zz,
+    )
+
+
+def _product(columns: Columns, other: Columns) -> Columns:
+    x, y, z = other
+    zero = (0.0, 0.0, 0.0)
+    return _moved(zero, columns, x), _moved(zero, columns, y), _moved(zero, columns, z)
+
+
+def _about(axis: Vector, angle: float) -> Columns:
+    """The rotation about a unit axis, by Rodrigues' formula."""
+    a, b, c = axis
+    cos, sin = math.cos(angle), math.sin(angle)
+    rest = 1.0 - cos
+    return (
+        (cos + rest * a * a, rest * a * b + sin * c, rest * a * c - sin * b),
+        (rest * a * b - sin * c, cos + rest * b * b, rest * b * c + sin * a),
+        (rest * a * c + sin * b, rest * b * c - sin * a, cos + rest * c * c),
+    )

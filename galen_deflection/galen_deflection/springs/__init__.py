@@ -1,1 +1,0 @@
-"""The arm as springs: compliance and hysteresis."""
