@@ -111,8 +111,8 @@ class FakeSuite:
     async def revert_tool(self, tool):
         return await self._called("revert_tool", tool)
 
-    async def compare(self, tool, with_tool=""):
-        self.calls.append(("compare", tool, with_tool))
+    async def compare(self, tool):
+        self.calls.append(("compare", tool))
         return self.comparison
 
     async def set_enabled(self, enabled):

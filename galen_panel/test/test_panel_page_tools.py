@@ -104,7 +104,7 @@ def test_going_back_shows_first_what_would_change():
         assert user.all("tool-retractor-revert") == [], "it has none before"
         user.click("tool-pointer-revert")
         await user.until(lambda: user.all("dialog-ok"))
-        assert suite.calls == [("compare", "pointer", "")]
+        assert suite.calls == [("compare", "pointer")]
         user.click("dialog-ok")
         await user.until(lambda: suite.calls[1:] == [("revert_tool", "pointer")])
 

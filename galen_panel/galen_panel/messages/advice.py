@@ -167,7 +167,7 @@ WHILE_CALIBRATING = {
         "does_not_fit": Advice("Compensates '{tool}'; its fit is not judged during a calibration.")
     },
 }
-"""Warnings that are expected while a calibration runs, and what is said in their place."""
+"""Warnings that are expected while a calibration runs, and their words meanwhile."""
 
 ADVICE: dict[str, dict[str, Advice]] = {
     "gravcomp": _STREAM

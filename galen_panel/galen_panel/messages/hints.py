@@ -132,7 +132,7 @@ def before_calibration(state: SuiteState, *, one_sweep: bool, by_hand: bool) -> 
     )
     sentences = [f"The arm moves: it goes through its poses, {long}."]
     if by_hand:
-        sentences.append("It waits for the tool to be taken off and put on; that comes on top.")
+        sentences.append("It waits for the tool to be removed and put on; that comes on top.")
     return [
         *sentences,
         "Look whether the area around the arm is clear. Keep off the arm and the tool until the"

@@ -112,7 +112,7 @@ def _absent(state: SuiteState, program: Program, report: NodeReport | None, now_
         text = _silence(now_s - report.heard_s)
     elif program.offers and program.offers in state.available:
         return Words(
-            NodeLevel.STALE, f"{program.title} is there, but has told nothing of itself yet.",
+            NodeLevel.STALE, f"{program.title} is there, but has not reported its state yet.",
             "Wait a moment. If that stays so, start it again.", "", False, True,
         )  # fmt: skip
     else:

@@ -137,7 +137,7 @@ class Plots:
             self._chart = ui.echart(options(self._window_s)).classes("live-chart")
             self._chart.props(
                 'data-testid=plot role=img aria-label="Forces, torques and deflection over time;'
-                ' their size is told beside each axis"'
+                ' their size is written beside each axis"'
             )
             for heading in headings():
                 place = f"left:{heading.left};top:{heading.top_px}px"

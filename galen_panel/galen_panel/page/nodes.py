@@ -11,7 +11,7 @@ from nicegui import ui
 from galen_panel.messages.hints import PROGRAMS
 from galen_panel.messages.states import Words, others, words_of, words_of_other
 from galen_panel.page.page import LOOKS, Page
-from galen_panel.snapshot import NodeLevel, SuiteState
+from galen_panel.snapshot import NodeLevel
 
 # Nodes tell their state once a second; one that falls silent is seen by time alone.
 _PERIOD_S = 1.0
@@ -32,26 +32,22 @@ def build(page: Page) -> None:
     ui.add_css(_STYLE)
     ui.label("What each node is doing").classes("text-h5")
     with ui.element("div").classes("panel-columns"):
-        cards = [(one, _Card(one.node, one.title, one.purpose)) for one in PROGRAMS]
+        cards = {one.node: _Card(one.node, one.title, one.purpose) for one in PROGRAMS}
     rest = ui.element("div").classes("panel-columns")
     other_cards: dict[str, _Card] = {}
 
     def look() -> None:
         state, now_s = page.suite.state, time.monotonic()
-        for program, card in cards:
+        for program in PROGRAMS:
             report = state.report_of(program.node)
-            card.show(words_of(state, program, now_s), {} if report is None else report.values)
-        _look_at_others(state, now_s)
-
-    def _look_at_others(state: SuiteState, now_s: float) -> None:
+            words = words_of(state, program, now_s)
+            cards[program.node].show(words, {} if report is None else report.values)
         reports = others(state)
-        names = [report.name for report in reports]
-        if names != list(other_cards):
+        if [report.name for report in reports] != list(other_cards):
             rest.clear()
             other_cards.clear()
             with rest:
-                for name in names:
-                    other_cards[name] = _Card(name, name, "")
+                other_cards.update((one.name, _Card(one.name, one.name, "")) for one in reports)
         for report in reports:
             other_cards[report.name].show(words_of_other(report, now_s), report.values)
 

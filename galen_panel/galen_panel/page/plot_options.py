@@ -174,20 +174,20 @@ def _grid(index: int) -> Option:
 
 
 def _time_axis(index: int, window_s: float) -> Option:
-    told = index in (2, 5, 6)
+    labelled = index in (2, 5, 6)
     axis: Option = {
         "type": "value",
         "gridIndex": index,
         "min": -window_s,
         "max": 0,
         "axisLabel": {
-            "show": told,
+            "show": labelled,
             "fontSize": _FONT_PX,
             "hideOverlap": True,
             # Where it is zoomed the ends are no round numbers.
             ":formatter": "(seconds) => String(Number(seconds.toFixed(2)))",
         },
-        "axisTick": {"show": told},
+        "axisTick": {"show": labelled},
         "splitLine": {"show": True},
         # Otherwise the axis would cross at a value of 0, in the midst of the curves.
         "axisLine": {"onZero": False},

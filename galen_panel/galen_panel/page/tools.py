@@ -7,7 +7,7 @@ from galen_model.files.calibration_file import check_tool_name
 from nicegui import ui
 
 from galen_panel.messages import hints, texts
-from galen_panel.page.calibration_options import AREA_CLEAR, CalibrationOptions
+from galen_panel.page.behaviours import AREA_CLEAR, CalibrationOptions
 from galen_panel.page.outcome import draw_comparison
 from galen_panel.page.page import (
     LOOK_PERIOD_S,

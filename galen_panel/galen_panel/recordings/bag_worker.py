@@ -1,8 +1,8 @@
 """`python -m galen_panel.recordings.bag_worker`: one evaluation or diagnosis, for the panel.
 
 A process of its own, so that what a recording does to it (a crash, want of memory) ends this one
-alone. It is told what to do by one line of JSON on standard input, tells how far it is by lines of
-JSON on standard output, and ends when standard input is closed: then the panel is gone.
+alone. Its task is one line of JSON on standard input, its progress are lines of JSON on standard
+output. It ends when standard input is closed: then the panel is gone.
 
     {"kind": "evaluate", "recording": PATH, "tool": PATH or null, "output": PATH}
     {"stage": "reading", "share": 0.4}     share: null where unknown

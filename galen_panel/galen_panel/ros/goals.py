@@ -343,7 +343,7 @@ class GoalFollower:
             asked=asked,
         )
 
-    # ---- what the server's node says of it on /diagnostics
+    # ---- the server's node on /diagnostics
 
     @property
     def _report(self) -> NodeReport | None:

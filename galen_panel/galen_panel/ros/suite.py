@@ -160,13 +160,10 @@ class RosSuite(AbstractContextManager["RosSuite"]):
         return CallAnswer(True, f"{tool} has its calibration before the last one again{load}")
 
     @_answered
-    async def compare(self, tool: str, with_tool: str = "") -> ToolComparison | CallAnswer:
-        """Compare a calibration (b) with another's (a); "": with its own before."""
-        request = CompareTools.Request(
-            a=check_tool_name(with_tool or tool),
-            a_previous=not with_tool,
-            b=check_tool_name(tool),
-        )
+    async def compare(self, tool: str) -> ToolComparison | CallAnswer:
+        """Compare a tool's calibration (b) with its own before (a)."""
+        name = check_tool_name(tool)
+        request = CompareTools.Request(a=name, a_previous=True, b=name)
         response = await self._tools.ask("compare_tools", request)
         return comparison(response) if response.success else CallAnswer(False, response.error_msg)
 
