@@ -110,8 +110,8 @@ def read_measured(arguments: argparse.Namespace) -> Measured:
     unit, file = arguments.time_unit, arguments.table or arguments.wrench
     if not arguments.table:
         wrench_time, wrench = read_wrenches(arguments.wrench)
-        time, gravity = read_orientations(arguments.orientations)
-        return _stamped(file, [wrench_time, time], unit, wrench, gravity)
+        gravity_time, gravity = read_orientations(arguments.orientations)
+        return _stamped(file, [wrench_time, gravity_time], unit, wrench, gravity)
     columns = arguments.columns.split(",") if arguments.columns else None
     table = read_table(file, columns, arguments.wrench_frame)
     time = table.time

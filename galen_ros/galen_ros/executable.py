@@ -47,7 +47,7 @@ class _Interrupts:
     def __call__(self, _number: int, _frame: FrameType | None) -> None:
         first = self._came_s is None
         if self.phase is _Phase.IMPORTING:
-            os._exit(EXIT_INTERRUPTED)  # an exception would come out of somebody's import
+            os._exit(EXIT_INTERRUPTED)  # an exception would come out of some import
         if not self.note():
             return
         if self.phase is _Phase.WORKING:

@@ -258,5 +258,5 @@ def _decompress(data: bytes) -> bytes:
 
 
 def _either(one: str, other: str) -> str:
-    """Two types or encodings in one topic make one that nobody asks for."""
+    """Two types or encodings in one topic make one that is no type."""
     return one if other == one else f"{one} and {other}"

@@ -118,7 +118,7 @@ class TimeOrder:
     """Take stretches in order of their first times; give messages in order of log time.
 
     Messages of one time come in the order of their places in the file. More than MOST_HELD_BYTES
-    are not held: then messages come out of order, and `overfull` says so.
+    are not held: then messages come out of order, and `overfull` is set.
     """
 
     def __init__(self) -> None:

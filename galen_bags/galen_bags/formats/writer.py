@@ -221,7 +221,7 @@ class GrowingBagWriter(BagWriter):
         )
 
     def _give_up(self) -> None:
-        """Close the file and take off the part of a record at its end."""
+        """Close the file and cut the part of a record at its end."""
         assert self._writer is not None
         with contextlib.suppress(OSError):
             self._writer.abort()

@@ -157,7 +157,7 @@ class ArrivalMonitor:
         return False
 
     def _faults(self, span_ns: int) -> list[str]:
-        """What still keeps the arm from having arrived, a sentence a joint."""
+        """Return why the arm has not arrived yet, a sentence a joint."""
         if span_ns < self._window_ns:
             return ["too few joint states yet to tell that the arm has stopped"]
         names, units = self._settings.arm.joint_names, self._settings.arm.units

@@ -83,7 +83,7 @@ class GoalClient:
         raise NotImplementedError
 
     def while_waiting(self) -> None:
-        """Called some twenty times a second while the goal runs; for what a person types."""
+        """Do what is to be done while the goal runs, some twenty times a second."""
 
     def on_signal(self, _number: int, _frame: FrameType | None) -> None:
         """Note a Ctrl-C; the second one does not wait for the arm."""
@@ -180,7 +180,7 @@ class GoalClient:
             self._executor.spin_once(timeout_sec=0.05)
 
     def _fail_rejected(self) -> NoReturn:
-        """An action's rejection carries no text; /diagnostics has it, once a second."""
+        """Raise the reason: an action's rejection has no text, /diagnostics has it once a second."""
         deadline = time.monotonic() + 2.5
         while not self._rejected and time.monotonic() < deadline:
             self._executor.spin_once(timeout_sec=0.05)

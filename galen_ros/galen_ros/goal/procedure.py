@@ -150,7 +150,7 @@ class GoalProcedure(ABC):
 
     @abstractmethod
     def _begin(self) -> None:
-        """Both topics have brought a sample, by one clock."""
+        """Begin: both topics have brought a sample, by one clock."""
 
     @abstractmethod
     def _take_joints(self, stamp_ns: int, position: Array, velocity: Array | None) -> None:
@@ -173,7 +173,7 @@ class GoalProcedure(ABC):
         """Give feedback."""
 
     def _note_arrival(self, clock: StampClock) -> None:  # noqa: B027 - most have nothing to do
-        """The arm has arrived, or has not in time, by this clock of the joint states."""
+        """Note that the arm has arrived, or has not in time, by this clock."""
 
     # ---- events
 

@@ -1,14 +1,14 @@
 """A managed (lifecycle) node that also starts by itself.
 
-The states are ROS 2's: unconfigured, inactive, active, finalized. A subclass says what is done on
-the way up, in `_configure` and `_activate`; on the way down all that these have made (publishers,
+The states are ROS 2's: unconfigured, inactive, active, finalized. A subclass implements
+the way up, `_configure` and `_activate`; on the way down all that these have made (publishers,
 subscriptions, services, clients, timers) is destroyed here, after what they asked for by
 `_at_undo`. So a node that is configured again starts from nothing, with the parameters of then.
 
 An exception in a transition is logged and becomes the error state; what was made is destroyed, the
 node is unconfigured again and says on /diagnostics what happened, so that it can be fixed and
-configured. Only at a start by itself (`autostart`) it is raised: nobody is there to fix it, and
-the process ends with the reason, as one that is not managed does.
+configured. Only at a start by itself (`autostart`) it is raised, and the
+process ends with the reason, as one that is not managed does.
 """
 
 from __future__ import annotations
@@ -127,7 +127,7 @@ class ManagedNode(LifecycleNode):
 
     @property
     def starts_itself(self) -> bool:
-        """Whether this is the start by itself, when nobody waits for an answer of `configure`."""
+        """Whether this is the start by itself, without a request to `configure`."""
         return self._starting
 
     def hold(self, cls: type[T], on_change: Callable[[T], None] | None = None) -> Held[T]:
@@ -244,7 +244,7 @@ class ManagedNode(LifecycleNode):
 
     @property
     def inactive_text(self) -> str:
-        """What a node says of itself while it is inactive."""
+        """State of the node in words while it is inactive."""
         return _SAYS[Stage.INACTIVE]
 
     def _log_failure(self, what: str, error: Exception) -> None:

@@ -112,7 +112,7 @@ class StreamNode(ManagedNode):
         """Values for /diagnostics."""
 
     def _watch(self, now_s: float) -> None:
-        """Called a few times a second of wall time."""
+        """Do what is to be done a few times a second of wall time."""
 
     # Samples
 
@@ -168,7 +168,7 @@ class StreamNode(ManagedNode):
     # Restarts of the driver
 
     def _on_matched(self, topic: str, info: Any) -> None:
-        """A publisher of an input came or went: the driver may be another one now."""
+        """Take note that a publisher of an input came or went: another driver, maybe."""
         now_s = time.monotonic()
         why = self._monitor.publishers_changed(
             topic, info.current_count, info.total_count_change, now_s

@@ -326,7 +326,7 @@ class WrenchPairing:
         return True
 
     def release(self) -> list[Result]:
-        """What becomes of the wrenches that have waited long enough."""
+        """Return what becomes of the wrenches that have waited long enough."""
         until = self._known_until_ns()
         results: list[Result] = []
         while until is not None and self._waiting and self._waiting[0].stamp_ns <= until:
@@ -390,7 +390,7 @@ class WrenchPairing:
         return joints if joints.shape[1] == len(self._turning) else joints[:, self._turning]
 
     def _known_until_ns(self) -> int | None:
-        """The newest stamp that need not wait: the newest joints', or earlier; None: none yet."""
+        """Return the newest stamp that need not wait; None: none yet."""
         joints_ns, awaited = self._joints.newest_ns, self._awaited
         if awaited is None or joints_ns is None:
             return joints_ns
@@ -443,7 +443,7 @@ class WrenchPairing:
         return []
 
     def _joint_reason(self, reason: Rejection, detail: str) -> tuple[Rejection, str]:
-        """The deeper reason, when joint messages do come but can't be used."""
+        """Return the deeper reason, when joint messages come but can't be used."""
         if self._joint_trouble is not None:
             return Rejection.BAD_JOINTS, self._joint_trouble
         return reason, detail
