@@ -48,7 +48,7 @@ def main(arguments: "list[str] | None" = None) -> int:
 def do(step: str, environment: Environment, *, verbose: bool) -> None:
     """Make `.venv` where it is not ready, then go on in it.
 
-    A build and PyTorch's installation may go side by side; while either does, nobody makes
+    A build and PyTorch's installation may go side by side; while either does, no process makes
     `.venv` anew.
     """
     lock = ROOT / ".workspace.lock"

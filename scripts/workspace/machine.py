@@ -60,7 +60,7 @@ def check_disk(folder: Path, needed_bytes: int = NEEDED_DISK_BYTES) -> None:
 
 
 def exclusive(path: Path) -> AbstractContextManager[None]:
-    """Hold the lock file ``path``; wait for the process that holds it, and say so.
+    """Hold the lock file ``path``; wait for its holder, and print that.
 
     The system frees the lock when its holder ends, however it ends.
     """
