@@ -178,7 +178,6 @@ class _Run(Generic[Result]):
             yield number, self._outcome(number, future)
 
     def _death(self, number: int) -> Outcome[Result]:
-        """Return the outcome of a bag that ended its worker."""
         reason = "it crashed, was killed, or took more than its share of the memory"
         return self._error(number, f"the process that worked on it died: {reason}")
 
@@ -239,7 +238,6 @@ def _work(function: Callable[[Path], Result], bag: Path) -> Outcome[Result]:
 def _work_elsewhere(
     function: Callable[[Path], Result], bag: Path, scheduler: str | None
 ) -> Outcome[Result]:
-    """In a worker."""
     from distributed.protocol.pickle import dumps
 
     if scheduler is not None and not bag.exists():

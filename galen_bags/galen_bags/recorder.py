@@ -332,7 +332,6 @@ class RecorderNode(Node):
         raise RuntimeError("the recorder needs an executor that respects callback groups")
 
     def _drain(self) -> None:
-        """Take all messages that have come, and write them in the order in which they came."""
         now_ns = time.time_ns()
         self._take_all()
         self._waiting.sort(key=lambda item: item[0])
@@ -386,7 +385,6 @@ class RecorderNode(Node):
             topic.counts.keep()
 
     def _write_all(self) -> None:
-        """Take what has come and hand all of it to the operating system."""
         self._take_all()
         waiting, self._waiting = self._waiting, []
         self._write(sorted(waiting, key=lambda item: item[0]))
@@ -429,7 +427,6 @@ class RecorderNode(Node):
         return Status(OK, f"recording {len(self._topics)} topics", values)
 
     def _look_at_publishers(self) -> None:
-        """Note topics with more publishers than one."""
         for name in self._topics:
             count = self.count_publishers(name)
             if count > 1 and not self._all and name not in _SHARED and name not in self._warned:

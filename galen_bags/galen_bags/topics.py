@@ -92,7 +92,6 @@ def _read(type_name: str, share_of: Callable[[str], Path]) -> str:
 
 
 def _types_in(type_name: str, text: str) -> list[str]:
-    """Full names of the types that a definition's fields have."""
     package = type_name.split("/")[0]
     found = []
     for match in _TYPE.finditer(text):

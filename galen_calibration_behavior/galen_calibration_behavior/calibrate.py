@@ -37,12 +37,13 @@ class CalibrateClient(GoalClient):
     action_name = "calibrate_tool"
     node_name = "calibrate"
     server = "calibration_node"
+    server_node = "calibration"
     lost = "nothing was written"
     unit = "pose"
 
     def __init__(self, options: argparse.Namespace) -> None:
         super().__init__(options)
-        self._confirm = self.node.create_client(Trigger, f"{options.node}/confirm")
+        self._confirm = self.node.create_client(Trigger, f"{self.server_node}/confirm")
         self._state: int | None = None
         self._asked: int | None = None
         self._question = False
@@ -138,7 +139,7 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     parser.add_argument(
         "--iters-r", type=whole(0, 100), default=0, help="number of rolls; 0: the node's"
     )
-    add_client_options(parser, "calibration", ", for ~/confirm")
+    add_client_options(parser)
     return read_options(parser, arguments, tool="tool")
 
 

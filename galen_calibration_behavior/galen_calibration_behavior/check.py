@@ -45,6 +45,7 @@ class CheckClient(GoalClient):
     action_name = "check_tool"
     node_name = "check_client"
     server = "calibration_node"
+    server_node = "calibration"
     lost = "nothing is known of the tool"
     unit = "pose"
 
@@ -81,7 +82,7 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     parser.add_argument(
         "--poses", type=whole(0, 100), default=0, help="number of poses; 0: the node's"
     )
-    add_client_options(parser, "calibration")
+    add_client_options(parser)
     return read_options(parser, arguments, tool="tool")
 
 

@@ -268,11 +268,9 @@ class ProgressLine:
         self._shown_s = -math.inf
 
     def __enter__(self) -> ProgressLine:
-        """Return itself."""
         return self
 
     def __exit__(self, *_error: object) -> None:
-        """Leave the line as it is."""
         self.close()
 
     def show(
@@ -285,7 +283,12 @@ class ProgressLine:
             return
         self._shown_s = now_s
         if self._bar is None:
-            self._bar = self._make(total)
+            form = "{percentage:3.0f}% |{bar}| {desc}"
+            if total is None:
+                form = "{desc}"
+            elif self._unit:
+                form = "{desc}: {percentage:3.0f}% |{bar}| {n_fmt}/{total_fmt} {unit}"
+            self._bar = tqdm(unit=self._unit, bar_format=form, file=sys.stderr, **_size())
         self._bar.set_description_str(text if isinstance(text, str) else text(), refresh=False)
         if total is not None:
             part = min(done, total)
@@ -302,14 +305,6 @@ class ProgressLine:
         if self._bar is not None:
             self._bar.close()
             self._bar = None
-
-    def _make(self, total: float | None) -> tqdm:
-        form = "{percentage:3.0f}% |{bar}| {desc}"
-        if total is None:
-            form = "{desc}"
-        elif self._unit:
-            form = "{desc}: {percentage:3.0f}% |{bar}| {n_fmt}/{total_fmt} {unit}"
-        return tqdm(total=total, unit=self._unit, bar_format=form, file=sys.stderr, **_size())
 
 
 def _size() -> dict[str, int]:

@@ -168,7 +168,6 @@ class Decoder:
 
 
 def _stamps(layout: Layout, rows: np.ndarray) -> np.ndarray:
-    """Stamps (n,) in ns."""
     seconds = np.ascontiguousarray(rows[:, STAMP_AT : STAMP_AT + 4]).view(layout.order + "i4")
     rest = np.ascontiguousarray(rows[:, STAMP_AT + 4 : STAMP_AT + 8]).view(layout.order + "u4")
     return seconds[:, 0].astype(np.int64) * NS_PER_S + rest[:, 0]

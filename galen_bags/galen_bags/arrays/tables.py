@@ -136,7 +136,6 @@ def _numbers(
     lines: list[int],
     known: Collection[str],
 ) -> dict[str, Array]:
-    """Return the known columns as numbers; others may hold anything."""
     numbers: dict[str, Array] = {}
     for index, name in enumerate(names):
         if name not in known:

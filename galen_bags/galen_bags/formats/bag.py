@@ -140,7 +140,6 @@ class Bag:
         return opened
 
     def _folder(self) -> Path:
-        """Return a temporary directory, there until the bag is closed."""
         return Path(self._stack.enter_context(tempfile.TemporaryDirectory(prefix="galen_bag_")))
 
     def _decompressed(self, path: Path) -> Path:

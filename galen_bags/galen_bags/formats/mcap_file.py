@@ -257,7 +257,6 @@ class McapFile:
             )
 
     def _wanted(self, content: bytes, records: Walk, wanted: dict[str, int]) -> Messages:
-        """Return the wanted messages among the records."""
         numbers = np.full(_CHANNELS, _UNKNOWN, dtype=np.int32)
         for channel, (topic, _, _) in self._channels.items():
             numbers[channel] = wanted.get(topic, _UNWANTED)
@@ -294,7 +293,6 @@ class McapFile:
         self._take(opcode, file.read(length), at)
 
     def _take(self, opcode: int, content: bytes, place: int) -> None:
-        """Take note of a schema, a channel or the statistics."""
         body = Body(content)
         try:
             if opcode == SCHEMA:

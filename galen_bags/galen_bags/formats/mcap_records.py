@@ -128,7 +128,6 @@ def _check_index(content: bytes, start: np.ndarray) -> Walk | None:
 
 
 def _heads(content: bytes, start: np.ndarray) -> np.ndarray:
-    """Return the heads of the message records that start at `start`."""
     if not len(start):
         return np.zeros(0, MESSAGE_HEAD)
     data = np.frombuffer(content, np.uint8)

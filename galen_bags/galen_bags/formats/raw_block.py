@@ -204,7 +204,6 @@ def _compact(messages: Messages) -> Messages:
 
 
 def _joined(parts: list[Messages]) -> Messages:
-    """Return the parts' messages, one part after the other."""
     lengths = np.array([len(part.data) for part in parts])
     return Messages(
         np.concatenate([part.topic for part in parts]),

@@ -99,6 +99,5 @@ def _plain(path: Path, folder: Callable[[], Path]) -> Path:
 
 
 def _reason(error: BaseException) -> str:
-    """One line of what a library raised, which may hold no text."""
     text = " ".join(str(error).split())
     return text[:200] or type(error).__name__

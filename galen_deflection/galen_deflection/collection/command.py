@@ -33,6 +33,7 @@ class CollectClient(GoalClient):
     action_name = "collect_pushes"
     node_name = "collect"
     server = "collection_node"
+    server_node = "collection"
     lost = "what it recorded is under a name that ends in .unfinished"
     unit = "push"
 
@@ -105,7 +106,7 @@ def parse(arguments: list[str]) -> argparse.Namespace:
         metavar="NM",
         help="levels of torque about the tip, N·m",
     )
-    add_client_options(parser, "collection")
+    add_client_options(parser)
     options = read_options(parser, arguments, name="recording's", tool="tool")
     if len(options.positions) % JOINTS:
         parser.error(f"--positions has {len(options.positions)} numbers, not {JOINTS} a position")

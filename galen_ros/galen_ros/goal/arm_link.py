@@ -89,7 +89,6 @@ class ArmPublisher:
 
 
 def _node_names(infos: Sequence[TopicEndpointInfo]) -> list[str]:
-    """Full names of the nodes that these endpoints belong to, a name for each endpoint, sorted."""
     return sorted(f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in infos)
 
 

@@ -326,7 +326,6 @@ class PoseRecorder:
         return PoseRejection(moved) if moved else record
 
     def _inside(self, samples: list[tuple[int, Array]]) -> tuple[Array, Array]:
-        """Return values and stamps of the samples inside the window."""
         assert self._window is not None
         start, end = self._window
         kept = [(stamp, value) for stamp, value in samples if start <= stamp <= end]

@@ -56,6 +56,8 @@ class GoalClient:
     node_name: ClassVar[str]
     server: ClassVar[str]
     """The executable that it needs."""
+    server_node: ClassVar[str]
+    """The name of its node."""
     lost: ClassVar[str]
     """What becomes of the goal if that goes away."""
     unit: ClassVar[str]
@@ -180,7 +182,7 @@ class GoalClient:
             self._executor.spin_once(timeout_sec=0.05)
 
     def _fail_rejected(self) -> NoReturn:
-        """Raise the reason: an action's rejection has no text, /diagnostics has it once a second."""
+        """Raise the reason, from /diagnostics: an action's rejection has no text."""
         deadline = time.monotonic() + 2.5
         while not self._rejected and time.monotonic() < deadline:
             self._executor.spin_once(timeout_sec=0.05)
@@ -188,22 +190,18 @@ class GoalClient:
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
-            if status.name.rsplit("/", 1)[-1] == self.options.node.rsplit("/", 1)[-1]:
+            if status.name.rsplit("/", 1)[-1] == self.server_node:
                 for item in status.values:
                     if item.key == "rejected":
                         self._rejected = item.value
 
 
-def add_client_options(parser: argparse.ArgumentParser, node: str, use: str = "") -> None:
-    """Add what each of these commands takes; `node` is the server's default name, `use` for what.
-
-    `read_options` reads them.
-    """
+def add_client_options(parser: argparse.ArgumentParser) -> None:
+    """Add what each of these commands takes; `read_options` reads it."""
     add_json(parser)
     parser.add_argument(
         "--timeout-s", type=positive, default=10.0, help="wait so long for the node (default 10)"
     )
-    parser.add_argument("--node", default=node, help=f"the node's name{use} (default {node})")
 
 
 def read_options(

@@ -278,7 +278,6 @@ class GoalNode(Node):
     def _conclude(
         self, action: ArmAction, handle: ServerGoalHandle, end: End, goal: RunningGoal | None
     ) -> None:
-        """Give the goal its result; report it on /diagnostics and in the log."""
         codes = action.codes
         result, self._last = action.make_result(handle, end, goal)
         self._servers[action].finish(handle, result, success=end.error_code == codes["NONE"])
@@ -422,7 +421,6 @@ class GoalNode(Node):
             self._end(goal, _internal(goal.action, error, goal))
 
     def _obey(self, goal: RunningGoal, command: Any) -> None:
-        """Do what each procedure asks for; the action does the rest."""
         match command:
             case MoveTo():
                 self._arm.move(command)

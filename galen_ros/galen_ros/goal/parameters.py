@@ -66,7 +66,6 @@ class MotionParameters:
     arm: Arm = field(default=GALEN, repr=False, compare=False)
 
     def _by_joint(self, metres: float, radians: float) -> Array:
-        """One number for each joint (n,), by its unit."""
         return np.array([metres if unit == "m" else radians for unit in self.arm.units])
 
     @property

@@ -273,11 +273,9 @@ class GoalProcedure(ABC):
 
     @property
     def _stamp_offset_s(self) -> float:
-        """How far the wrench's newest stamp is ahead of that of the joint states."""
         return (self._stamps[self.wrench_topic] - self._stamps[JOINTS]) / NS
 
     def _check_patience(self) -> None:
-        """Fail where an answer was waited for long enough."""
         if self._waiting_for and self._waited_s > self._settings.service_timeout_s:
             self.fail(
                 self.codes["SERVICE_FAILED"],
@@ -391,7 +389,6 @@ class PoseProcedure(GoalProcedure):
     def _record(
         self, target: Array, duration_s: float, then: Callable[[PoseRecord | PoseRejection], None]
     ) -> None:
-        """Average at `target`, to which the arm goes in `duration_s`, and call `then` with it."""
         if self.ending:
             return
         self._recorder = PoseRecorder(
@@ -420,7 +417,6 @@ class PoseProcedure(GoalProcedure):
         return super()._move(target)
 
     def _visit(self, target: Array, then: Callable[[PoseRecord | PoseRejection], None]) -> None:
-        """Go to `target` around all boxes, and average there."""
         self._on_the_way(target, lambda: self._record(target, self._move(target), then))
 
     def _on_the_way(self, target: Array, then: Callable[[], None]) -> None:

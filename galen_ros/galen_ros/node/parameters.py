@@ -3,18 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable, Sequence
 from difflib import get_close_matches
 from typing import Any, Generic, TypeVar, cast
 
 from galen_model.errors import GalenError
-from rcl_interfaces.msg import (
-    FloatingPointRange,
-    IntegerRange,
-    ParameterDescriptor,
-    SetParametersResult,
-)
+from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -24,7 +18,6 @@ from galen_ros.rclpy_workarounds import guard_parameter_services
 
 T = TypeVar("T")
 
-_INT64_MAX = 2**63 - 1
 # rclpy declares these with the publisher or subscription that they are for, if that allows it.
 _DECLARED_LATER = "qos_overrides."
 
@@ -114,19 +107,6 @@ def _declare(
         # With a static type rclpy would reject 5 for 5.0; `checked` holds the type instead.
         dynamic_typing=True,
     )
-    if meaning.minimum is not None or meaning.maximum is not None:
-        low = -math.inf if meaning.minimum is None else meaning.minimum
-        high = math.inf if meaning.maximum is None else meaning.maximum
-        if hint is float:
-            descriptor.floating_point_range = [
-                FloatingPointRange(from_value=float(low), to_value=float(high))
-            ]
-        elif hint is int:
-            descriptor.integer_range = [
-                IntegerRange(
-                    from_value=int(max(low, -_INT64_MAX)), to_value=int(min(high, _INT64_MAX))
-                )
-            ]
     start = list(default) if isinstance(default, tuple) else default
     try:
         value = node.declare_parameter(name, start, descriptor).value

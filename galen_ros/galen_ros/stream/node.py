@@ -94,7 +94,6 @@ class StreamNode(ManagedNode):
         self._newest_joint_state = None
 
     def _read_joints(self, joint_names: Sequence[str]) -> None:
-        """Read these joints from now on, in this order."""
         self._joint_wire = JointWire(joint_names)
 
     # What a subclass does
@@ -153,7 +152,6 @@ class StreamNode(ManagedNode):
             self._emit(results)
 
     def _emit(self, results: Sequence[Any]) -> None:
-        """Publish what was made, and take note of what was rejected."""
         changed = False
         for result in results:
             if isinstance(result, Rejected):

@@ -310,7 +310,6 @@ class WrenchPairing:
         return results
 
     def _jumped(self, stamp_ns: int, angles: tuple[float, ...]) -> bool:
-        """Whether the arm can't have turned so since the last report: one of both is wrong."""
         before = self._reported
         if before is not None and stamp_ns <= before[0]:
             return False
@@ -402,7 +401,6 @@ class WrenchPairing:
             self.notices[notice] += count
 
     def _follow_wrench_stamps(self, stamp_ns: int) -> list[Rejected]:
-        """Compare with the newest stamp: restart, out of order."""
         newest = self._newest_wrench_ns
         results: list[Rejected] = []
         if newest is not None:
@@ -454,7 +452,6 @@ class WrenchPairing:
         return f"; do joint_states and {self.wrench_topic} get their stamps from different clocks?"
 
     def _pair(self, stamp_ns: int, raw: Array, tag: object, number: int) -> Result:
-        """Use a wrench whose joints are in the buffer."""
         joints = self._joints.joints_at(stamp_ns)
         if isinstance(joints, NoJoints):
             if joints is NoJoints.GAP:

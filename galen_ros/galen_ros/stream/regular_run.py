@@ -130,7 +130,6 @@ def _in_line(
     limits: SampleLimits,
     jumps: np.ndarray,
 ) -> int:
-    """How many arrivals are in line with those before them in their own topic."""
     fine = np.empty(len(arrivals.is_wrench), dtype=bool)
     fine[~arrivals.is_wrench] = (
         arrivals.joint_usable
