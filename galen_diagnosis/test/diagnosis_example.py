@@ -90,23 +90,14 @@ def tilt_error(rows, size=20.0):
 
 
 def example_streams(error=0.0, seed=1):
-    """Residuals in time; `error` times a wrong tilt's signature in units of the noise."""
+    """Residuals in time; `error` times the noise, as a sine."""
     rng = np.random.default_rng(seed)
+    at_s = np.arange(0.0, 45.0, 0.02)
     streams = []
-    for bag, length_s, rate_hz in (("sweep", 129.0, 50.0), ("motion", 45.0, 100.0)):
-        at_s = np.arange(0.0, length_s, 1.0 / rate_hz)
-        residual = rng.standard_normal((len(at_s), 6)) * WRENCH_NOISE
-        if bag == "sweep":
-            tilt = TILTS[np.minimum(at_s / 2.3, 55).astype(int) // 8]
-            residual[(at_s % 2.3) < 0.5] = np.nan
-        else:
-            tilt = 0.8 * np.sin(0.8 * at_s)
-        residual[:, 0] += error * WRENCH_NOISE[0] * np.sin(tilt)
-        residual[:, 2] += error * WRENCH_NOISE[2] * (np.cos(tilt) - np.cos(tilt).mean())
-        streams.append(Stream(bag, WRENCH, at_s, residual, WRENCH_NOISE))
-    at_s = np.arange(0.0, 120.0, 1 / 60)
-    residual = rng.standard_normal((len(at_s), 6)) * TIP_NOISE
-    streams.append(Stream("push", TIP, at_s, residual, TIP_NOISE))
+    for bag, channels, noise in (("motion", WRENCH, WRENCH_NOISE), ("push", TIP, TIP_NOISE)):
+        residual = rng.standard_normal((len(at_s), 6)) * noise
+        residual[:, 0] += error * noise[0] * np.sin(0.8 * at_s)
+        streams.append(Stream(bag, channels, at_s, residual, noise))
     return tuple(streams)
 
 

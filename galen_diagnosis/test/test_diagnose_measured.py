@@ -223,21 +223,3 @@ def test_an_industrial_arms_axis_and_a_grasper(capsys, tmp_path):
     answer = json.loads(capsys.readouterr().out)
     shares = {one["effect"]: one["probability"] for one in answer["ranking"]}
     assert min(shares["backlash"], shares["joint_compliance"], shares["gear_error"]) > 0.5
-
-
-@measured
-@pytest.mark.slow
-def test_seven_poses_of_an_axia80_have_unequal_gains(tmp_path, capsys):
-    folder = REAL / "axia80"
-    parts = [np.loadtxt(folder / f"recorded_messages_{name}.txt", delimiter=",")
-             for name in ("pose", "wrench")]  # fmt: skip
-    file = tmp_path / "axia80.csv"
-    np.savetxt(file, np.column_stack(parts), delimiter=",")
-    columns = "--columns=-,-,-,qx,qy,qz,qw,fx,fy,fz,tx,ty,tz"
-    assert diagnose([str(file), "--wrench-frame", "base", columns, "--json", "--no-report"]) == 0
-    answer = json.loads(capsys.readouterr().out)
-    assert answer["problems"]  # nothing tells the noise of single readings
-    found = {cause["effect"]: cause for cause in answer["causes"]}
-    assert found["axis_gain"]["probability"] > 0.9
-    gain = found["axis_gain"]["parameters"]["gain"]["value"]
-    assert gain[2] - 0.5 * (gain[0] + gain[1]) == pytest.approx(0.055, abs=0.01)

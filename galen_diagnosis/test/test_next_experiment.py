@@ -25,7 +25,7 @@ from galen_diagnosis.experiment.trial import (
     signature,
     still_trial,
 )
-from galen_model.arm.galen import HOME
+from galen_model.arm.galen import GALEN
 from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from galen_model.poses.design import angle_grid
@@ -136,7 +136,7 @@ def test_the_distance_is_what_a_fit_on_the_simulator_leaves():
         ((effect("loose_tool", shift_m=0.004),), "tool_com_error"),
         ((effect("joint_zero_offset", joint="tilt", offset_rad=0.03),), "sensor_mount_rotation"),
     ):
-        trials = [sweep(), push_trial(np.array([HOME]), (5.0,), TOOL)]
+        trials = [sweep(), push_trial(GALEN.home[None], (5.0,), TOOL)]
         found, left = refitted(trials, truth, (effect(other),), TOOL)
         loose = np.diag(1e3 * typical_sizes(found)) ** 2
         known = np.zeros((len(typical_sizes(truth)),) * 2)
@@ -164,30 +164,8 @@ def test_the_expected_probability_is_that_of_two_gaussians():
         assert separate(trials, both, exact)[1] == pytest.approx(expected, abs=0.02)
 
 
-@pytest.mark.slow
-def test_twins_on_wrenches_are_told_apart_by_the_tracker_alone(roll_twins):
-    tracked = {"tracker at rest", "pushes"}
-    vague = tool_file(0.02)  # the centre of a tool that doesn't turn with the sensor tells a little
-    tilt_twins = alternatives(
-        (effect("joint_zero_offset", joint="tilt", offset_rad=0.012),),
-        [(effect("sensor_mount_rotation"),)],
-        vague,
-    )
-    for left, tool in ((roll_twins, TOOL), (tilt_twins, vague)):
-        told = judged(left, tool)
-        assert {"still poses", "reversed order", "second mass", "two speeds"} < set(told)
-        for kind, (distance, expected) in told.items():
-            if kind not in tracked:
-                assert distance < 0.5, (left[1].name, kind)
-                assert expected < 0.65, (left[1].name, kind)
-        assert told["pushes"][0] > 30.0
-        found = propose(left, tool)
-        assert found.proposal.kind in tracked
-        assert found.expected_probability > 0.99
-
-
 def test_a_turn_about_rolls_axis_needs_the_platform_to_move(roll_twins, roll_experiment):
-    """With the platform at home it is base_link's place in `tracker`, which nobody knows."""
+    """With the platform at home it is base_link's place in `tracker`, which is not known."""
     at_home = smallest([sweep(tracker=True)], roll_twins)
     moved = np.array([[0.07, -0.06, 0.45, 0.9, -0.6], [-0.07, 0.06, 0.36, -0.9, 0.6]])
     elsewhere = smallest([push_trial(moved, (3.0,), TOOL)], roll_twins)
@@ -203,8 +181,12 @@ def test_a_turn_about_rolls_axis_needs_the_platform_to_move(roll_twins, roll_exp
 def test_each_kind_of_experiment_is_worth_most_for_what_it_is_for():
     bias_drift = effect("sensor_drift", rate_per_hour=(0.3, 0.3, 0.3, 0.006, 0.006, 0.006))
     left = alternatives((bias_drift,), [(effect("loose_tool"),)])
-    left = [one.in_another_session() for one in left]
-    told = judged(left)
+    found = propose(left, TOOL).proposal
+    assert found.program == "calibration"
+    numbers = tuple(GALEN.angles(found.poses).ravel().tolist())
+    parameters = CalibrationParameters(poses="listed", listed_poses_rad=numbers)
+    assert len(parameters.plan(np.asarray(TOOL.tip_m)).poses) == len(found.poses)
+    told = judged([one.in_another_session() for one in left])
     unsure = 1.0 - told["reversed order"][1]
     assert 1.0 - told["still poses"][1] > 5.0 * unsure
     assert 1.0 - told["tracker at rest"][1] > 5.0 * unsure
@@ -216,10 +198,10 @@ def test_each_kind_of_experiment_is_worth_most_for_what_it_is_for():
     late = effect("wrench_delay", delay_s=0.01)
     inertia = effect("inertial_load", mass_kg=0.16)
     known = np.diag([1e-6])
-    told = judged([Alternative((late,), 0.5, known), Alternative((inertia,), 0.5, known)])
+    both = [Alternative((late,), 0.5, known), Alternative((inertia,), 0.5, known)]
+    told = judged(both)
     assert told["two speeds"][0] > 30.0
     assert told["still poses"][0] == pytest.approx(0.0, abs=1e-9)
-    both = [Alternative((late,), 0.5, known), Alternative((inertia,), 0.5, known)]
     assert propose(both, TOOL).proposal.kind == "two speeds"
 
 
@@ -256,8 +238,7 @@ def read_parameters(path, node):
 
 
 def test_the_file_is_what_the_nodes_take(tmp_path, roll_experiment):
-    poses = np.column_stack([np.tile(HOME[:3], (56, 1)), GRID])
-    sweep_proposal = Proposal("still poses", "sweep", poses, ())
+    sweep_proposal = Proposal("still poses", "sweep", GALEN.with_angles(GRID), ())
     found = replace(roll_experiment, proposal=sweep_proposal)
     write_sweep(found, tmp_path / "sweep.yaml")
     numbers = read_parameters(tmp_path / "sweep.yaml", "calibration")
@@ -266,22 +247,12 @@ def test_the_file_is_what_the_nodes_take(tmp_path, roll_experiment):
     parameters.validate()
     plan = parameters.plan(np.asarray(TOOL.tip_m), one_sweep=True)
     assert np.abs(plan.poses - GRID).max() < 1e-5
-    assert tuple(parameters.home) == tuple(HOME)
+    assert tuple(parameters.home) == tuple(GALEN.home)
     assert found.to_json()["poses"] == 56
 
     write_sweep(roll_experiment, tmp_path / "pushes.yaml")
     numbers = read_parameters(tmp_path / "pushes.yaml", "collection")
     CollectionParameters(**{name: tuple(value) for name, value in numbers.items()}).validate()
-
-
-@pytest.mark.slow
-def test_a_proposed_sweep_can_be_calibrated_with():
-    bias_drift = effect("sensor_drift", rate_per_hour=(0.3, 0.3, 0.3, 0.006, 0.006, 0.006))
-    found = propose(alternatives((bias_drift,), [(effect("loose_tool"),)]), TOOL)
-    assert found.proposal.program == "calibration"
-    numbers = tuple(found.proposal.poses[:, 3:].ravel().tolist())
-    parameters = CalibrationParameters(poses="listed", listed_poses_rad=numbers)
-    assert len(parameters.plan(np.asarray(TOOL.tip_m)).poses) == len(found.proposal.poses)
 
 
 def test_what_no_node_runs_is_not_written(tmp_path, roll_experiment):
