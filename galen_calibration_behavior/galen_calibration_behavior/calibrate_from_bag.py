@@ -30,7 +30,7 @@ _USAGE = """%(prog)s TOOL BAG [options]
        %(prog)s --propose-poses [options]"""
 _NOTES = """BAG is a rosbag2 directory, .mcap, .db3 or ROS 1 .bag:
   both sweeps of still poses, first bare, then with the tool on;
-  --estimate inertia: at least 12 s in which roll and tilt swing, smoothly and fast, no contact;
+  --estimate inertia: at least 12 s in which the arm swings, smoothly and fast, no contact;
   --estimate cable: a sweep of still poses with the cable on, no contact."""
 _PARTS = ("inertia", "cable")
 """Added to a calibrated tool's file, each from a recording of its own."""

@@ -66,7 +66,7 @@ class CalibrationParameters(PoseParameters):
     )
     listed_poses_rad: tuple[float, ...] = param(
         (),
-        "roll and tilt of each listed pose, one pose after the other, visited in this order;"
+        "angles of each listed pose's turning joints, one pose after the other, in this order;"
         " `diagnose --next` writes such a list",
     )
     chosen_poses: int = param(18, "number of chosen poses", 6, MAX_CHOSEN)
@@ -95,7 +95,7 @@ class CalibrationParameters(PoseParameters):
 
     check_poses: int = param(6, "number of a check's poses", FEWEST_POSES, MOST_CHECK_POSES)
     check_reach_rad: float = param(
-        0.5, "a check's poses lie within this of where roll and tilt are, rad", 0.1, 1.5
+        0.5, "a check's poses lie within this of the present angles, rad", 0.1, 1.5
     )
     check_limit_force_n: float = param(
         0.05, "a file is good that leaves no more than this anywhere, N", 1e-4, 100.0

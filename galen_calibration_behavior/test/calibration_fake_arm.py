@@ -1,7 +1,7 @@
 """A small arm, sensor and hand for the tests: no ROS, no limits, exact physics plus noise."""
 
 import numpy as np
-from galen_model.arm.galen import GALEN, HOME, SENSOR
+from galen_model.arm.galen import GALEN, SENSOR
 from galen_model.load.model import Load, gravity_wrench
 
 ADAPTER = Load(0.100, np.array([0.0, 0.0, 0.020]))
@@ -14,7 +14,7 @@ STEP_NS = 10_000_000
 class FakeArm:
     """Steps by 10 ms. What the tests let go wrong is set through the public attributes."""
 
-    def __init__(self, seed=1, start=HOME):
+    def __init__(self, seed=1, start=GALEN.home):
         self.random = np.random.default_rng(seed)
         self.stamp_ns = 1_000_000_000
         self.joints = np.array(start, float)

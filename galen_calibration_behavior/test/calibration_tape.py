@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 from galen_bags.arrays.arm_recording import ArmRecording
-from galen_model.arm.galen import ENCODER_QUANTUM, GALEN, HOME, SENSOR
+from galen_model.arm.galen import ENCODER_QUANTUM, GALEN, SENSOR
 from galen_model.load.model import Load, gravity_wrench
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 
@@ -93,7 +93,7 @@ class Tape:
         stamps = np.concatenate(self._stamps)[:stop]
         log = np.concatenate(self._log)[:stop]
         angles = np.concatenate(self._joints)[:stop]
-        joints = np.column_stack([np.tile(HOME[:3], (len(angles), 1)), angles])
+        joints = np.column_stack([np.tile(GALEN.home[:3], (len(angles), 1)), angles])
         velocities = np.column_stack(
             [np.zeros((len(angles), 3)), np.concatenate(self._velocities)[:stop]]
         )

@@ -8,7 +8,7 @@ import pytest
 from calibration_tape import RETRACTOR, Tape, grid
 from galen_calibration_behavior.calibrate_from_bag import main, parse
 from galen_calibration_behavior.from_bag import parts
-from galen_model.arm.galen import GALEN, HOME
+from galen_model.arm.galen import GALEN
 from galen_model.files.calibration_file import (
     CalibrationFile,
     LoadEstimate,
@@ -24,7 +24,7 @@ POSES = grid(np.linspace(-1.2, 1.2, 6), np.linspace(-0.9, 0.8, 5))
 
 
 def pull(pose):
-    rotation, origin = GALEN.sensor_pose([*HOME[:3], *pose])
+    rotation, origin = GALEN.sensor_pose([*GALEN.home[:3], *pose])
     line = ANCHOR - origin - rotation @ AT
     length = np.linalg.norm(line)
     force = rotation.T @ line / length * (0.3 + length - 0.5)
@@ -79,7 +79,7 @@ def test_it_learns_the_pull_and_keeps_the_rest_of_the_file(place, capsys, one_fo
     assert {key: after[key] for key in before} == before
     rng = np.random.default_rng(2)
     angles = rng.uniform([-1.2, -0.9], [1.2, 0.8], (20, 2))
-    joints = np.column_stack([np.tile(HOME[:3], (20, 1)), angles])
+    joints = np.column_stack([np.tile(GALEN.home[:3], (20, 1)), angles])
     error = tool.cable.posterior.readings(joints) - [pull(pose) for pose in angles]
     assert np.abs(error[:, :3]).max() < 0.012
     assert np.abs(error[:, 3:]).max() < 5e-4

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from galen_bags.formats.writer import BagWriter
 from galen_calibration_behavior.calibrate_from_bag import main
-from galen_model.arm.galen import ENCODER_QUANTUM, GALEN, HOME, JOINT_NAMES, SENSOR
+from galen_model.arm.galen import ENCODER_QUANTUM, GALEN, SENSOR
 from galen_model.arm.sensor_motion import sensor_motion
 from galen_model.files.calibration_file import (
     CalibrationFile,
@@ -28,7 +28,7 @@ def write_recording(path, size):
     """26 s of swings at 100 Hz, each joint by its own size."""
     times = np.arange(0.0, 26.0, 0.01)
     angle = np.outer(times, RATES) + np.arange(5.0)
-    q = HOME + size * np.sin(angle)
+    q = GALEN.home + size * np.sin(angle)
     moving = sensor_motion(q, size * RATES * np.cos(angle), -size * RATES**2 * np.sin(angle))
     moments = LOAD.moments + ADAPTER.moments
     felt = GALEN.gravity_in_sensor(q[:, 3:]) - moving[2]
@@ -38,7 +38,7 @@ def write_recording(path, size):
     with BagWriter(path) as bag:
         joint_topic = bag.add_topic("joint_states", "sensor_msgs/msg/JointState")
         wrench_topic = bag.add_topic("wrench_raw", "geometry_msgs/msg/WrenchStamped")
-        states, forces = joint_state_bytes(JOINT_NAMES), wrench_bytes("ft_sensor")
+        states, forces = joint_state_bytes(GALEN.joint_names), wrench_bytes("ft_sensor")
         for time_s, joint, wrench in zip(times, joints, wrenches, strict=True):
             stamp = 1_790_000_000_000_000_000 + round(time_s * 1e9)
             bag.write(joint_topic, stamp, states.fill(stamp, joint, np.zeros(5)))

@@ -13,7 +13,7 @@ from galen_calibration_behavior.commands import CalibrationCode as ErrorCode
 from galen_calibration_behavior.commands import CalibrationState as State
 from galen_calibration_behavior.commands import CheckCode, CheckState
 from galen_calibration_behavior.node import CalibrationNode
-from galen_model.arm.galen import JOINT_NAMES
+from galen_model.arm.galen import GALEN
 from galen_model.files.calibration_file import read_calibration
 from galen_ros.messages import STREAM, fill_stamp, fill_wrench
 from galen_ros.node.testing import Harness, parameters
@@ -39,7 +39,7 @@ class FakeDriver(Node):
         self.arm = FakeArm()
         self.silent = set()
         self.frame_id = "ft_sensor"
-        self.names = list(JOINT_NAMES)
+        self.names = list(GALEN.joint_names)
         self.moves = 0
         self.stops = 0
         self.paused = False
@@ -306,7 +306,7 @@ def test_somebody_else_who_commands_the_arm_ends_it(world, points):
     world.harness.wait_for(
         lambda: publisher.get_subscription_count() >= 2, 10.0, "driver and node to be matched"
     )
-    command = JointTrajectory(joint_names=list(JOINT_NAMES), points=points)
+    command = JointTrajectory(joint_names=list(GALEN.joint_names), points=points)
     world.harness.call_in_executor(lambda: publisher.publish(command))
     world.fails(handle, ErrorCode.BAD_INPUT, "another node commands the arm", "/teach_pendant")
     assert not world.driver.arm.moving
@@ -438,7 +438,7 @@ def test_a_node_that_goes_down_stops_the_arm(world):
 
 
 def test_joint_states_in_another_order_with_other_joints_are_fine(world):
-    world.driver.names = list(JOINT_NAMES)
+    world.driver.names = list(GALEN.joint_names)
     step = world.driver.arm.step
 
     def shuffled():

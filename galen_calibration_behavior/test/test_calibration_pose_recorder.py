@@ -3,7 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 from calibration_fake_arm import FakeArm
-from galen_model.arm.galen import HOME
+from galen_model.arm.galen import GALEN
 from galen_model.rest.pose import PoseRecord, StillnessSettings, wrench_fault
 from galen_ros.goal.arrival import (
     ArrivalSettings,
@@ -26,7 +26,7 @@ STILLNESS = StillnessSettings(
     trend_sigmas=6.0,
     min_samples=20,
 )
-TARGET = HOME + np.array([0.0, 0.0, 0.0, 0.5, -0.3])
+TARGET = GALEN.home + np.array([0.0, 0.0, 0.0, 0.5, -0.3])
 
 
 def record(arm, target=TARGET, allowance_s=5.0, arrival=ARRIVAL, each=None, limit=4000):

@@ -19,7 +19,7 @@ from galen_calibration_behavior.commands import (
 from galen_calibration_behavior.commands import CalibrationCode as ErrorCode
 from galen_calibration_behavior.commands import CalibrationState as State
 from galen_calibration_behavior.parameters import CalibrationParameters
-from galen_model.arm.galen import HOME
+from galen_model.arm.galen import GALEN
 from galen_ros.goal.procedure import MoveTo, Stop
 
 SETTINGS = CalibrationParameters(
@@ -152,7 +152,7 @@ def test_the_way_through(by_service, one_sweep):
     assert found.tool.angles == pytest.approx(POSES, abs=1e-6)
     assert found.zero_angles == pytest.approx((0.0, 0.0), abs=1e-9)
     last_move = world.of(MoveTo)[-1]
-    assert last_move.joints == pytest.approx(HOME)
+    assert last_move.joints == pytest.approx(GALEN.home)
 
 
 def test_the_sensor_is_zeroed_at_home_without_the_tool_and_before_any_pose():
@@ -168,7 +168,7 @@ def test_the_sensor_is_zeroed_at_home_without_the_tool_and_before_any_pose():
     world.run()
     ((tool, joints, done),) = seen
     assert tool is NO_TOOL
-    assert joints == pytest.approx(HOME)
+    assert joints == pytest.approx(GALEN.home)
     assert done == 0
 
 
@@ -248,7 +248,7 @@ def test_topics_that_never_came_are_named():
 
 def test_stamps_that_stand_still_are_a_silence():
     world = World().run(in_state(State.SWEEP_BARE))
-    world.arm.step = lambda: (5, HOME, np.zeros(5), np.zeros(6))
+    world.arm.step = lambda: (5, GALEN.home, np.zeros(5), np.zeros(6))
     world.run(limit_s=4.0)
     failed(world, ErrorCode.DRIVER_SILENT, "stamps of joint_states have stood still")
 

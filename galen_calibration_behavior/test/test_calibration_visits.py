@@ -7,7 +7,7 @@ import pytest
 from calibration_tape import NO_TOOL, NS, POINTER, Tape, grid
 from galen_calibration_behavior.from_bag.visits import RecordingError, find_visits
 from galen_calibration_behavior.parameters import CalibrationParameters
-from galen_model.arm.galen import GALEN, HOME
+from galen_model.arm.galen import GALEN
 from galen_model.load.model import gravity_wrench
 from galen_model.load.nominal_tools import ADAPTER
 from galen_model.rest.pose import PoseRecord
@@ -113,7 +113,7 @@ def test_a_platform_that_the_recording_does_not_hold_is_taken_to_stand_still():
     recording.joints[:, :3] = np.nan
     found = find_visits(recording, SETTINGS)
     assert "joint_states does not hold delta_x, delta_y, delta_z" in found.warnings[0]
-    assert [v.joints[:3].tolist() for v in found.visits] == [HOME[:3].tolist()] * 3
+    assert [v.joints[:3].tolist() for v in found.visits] == [GALEN.home[:3].tolist()] * 3
 
 
 def test_levels_tell_the_reading_before_and_after_what_happened_in_a_phase():

@@ -11,7 +11,7 @@ from galen_calibration_behavior.commands import CheckCode, CheckState, PoseFeedb
 from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_calibration_behavior.quick_check.procedure import CheckProcedure, CheckRequest
 from galen_model.arm.clearance import ArmClearance, boxes_from_numbers
-from galen_model.arm.galen import LIMITS
+from galen_model.arm.galen import GALEN
 from galen_model.evidence.verdict import Cause, CheckAnswer
 from galen_ros.goal.procedure import MoveTo, Stop
 
@@ -140,10 +140,10 @@ def test_an_arm_that_may_hit_something_does_not_move(tip, box, words):
 
 
 def test_an_arm_that_reads_a_little_beyond_a_limit_is_sent_inside():
-    start = [*START[:3], LIMITS.upper[3] + 1e-4, -0.2]
+    start = [*START[:3], GALEN.upper[3] + 1e-4, -0.2]
     course = Course(start=start)
     course.run(lambda c: c.of(MoveTo))
-    assert course.procedure._before[3] == LIMITS.upper[3]
+    assert course.procedure._before[3] == GALEN.upper[3]
 
 
 def test_a_cancel_stops_the_arm():

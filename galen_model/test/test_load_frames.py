@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from galen_model.arm.galen import GALEN, GRAVITY_M_S2, HOME, LIMITS
+from galen_model.arm.galen import GALEN, GRAVITY_M_S2
 from galen_model.arm.pinocchio_arm import PinocchioArm
 from galen_model.files.calibration_file import LoadEstimate
 from galen_model.load.frames import (
@@ -26,7 +26,7 @@ LOAD = LoadEstimate(0.2, np.array([0.07, -0.01, 0.055]), COVARIANCE)
 def test_frames_are_those_of_the_urdf(frame: str) -> None:
     arm, rng = PinocchioArm(TIP_M), np.random.default_rng(7)
     for _ in range(20):
-        joints = rng.uniform(LIMITS.lower, LIMITS.upper)
+        joints = rng.uniform(GALEN.lower, GALEN.upper)
         sensor_rotation, sensor_origin = arm.pose(joints, "ft_sensor")
         rotation, origin = arm.pose(joints, frame)
         # Only the joints that the frame needs are given: the others can't matter.
@@ -77,4 +77,4 @@ def test_what_lacks_is_named() -> None:
         with pytest.raises(FrameNeedsJointsError, match="or roll, tilt alone"):
             joint_vector(wrong)
     np.testing.assert_array_equal(joint_vector([0.1, 0.2]), [np.nan] * 3 + [0.1, 0.2])
-    np.testing.assert_array_equal(joint_vector(HOME.tolist()), HOME)
+    np.testing.assert_array_equal(joint_vector(GALEN.home.tolist()), GALEN.home)

@@ -9,9 +9,6 @@ from galen_model.arm.galen import (
     ENCODER_QUANTUM,
     GALEN,
     GRAVITY_M_S2,
-    HOME,
-    JOINT_NAMES,
-    LIMITS,
     SENSOR,
     TRACKER_POSITION_NOISE_M,
     TRACKER_ROTATION_NOISE_RAD,
@@ -21,21 +18,21 @@ from galen_model.load.nominal_tools import ADAPTER, TOOLS
 
 
 def test_geometry_and_stiffness():
-    assert JOINT_NAMES == ("delta_x", "delta_y", "delta_z", "roll", "tilt")
-    assert HOME.tolist() == [0.0, 0.0, 0.408, 0.0, 0.0]
+    assert GALEN.joint_names == ("delta_x", "delta_y", "delta_z", "roll", "tilt")
+    assert GALEN.home.tolist() == [0.0, 0.0, 0.408, 0.0, 0.0]
     assert GRAVITY_M_S2.tolist() == [0.0, 0.0, -9.80665]
-    lengths = (GALEN.rod_length_m, GALEN.rail_radius_m, GALEN.platform_radius_m)
+    lengths = (GALEN.delta.rod_length_m, GALEN.delta.rail_radius_m, GALEN.delta.platform_radius_m)
     assert lengths == (0.440, 0.215, 0.050)
-    assert GALEN.delta_radius_m == pytest.approx(0.165)
-    assert (GALEN.rod_half_spacing_m, GALEN.carriage_travel_m) == (0.0552, 0.25)
-    assert np.degrees(GALEN.leg_angles_rad) == pytest.approx([-60.0, 60.0, 180.0])
-    assert GALEN.platform_to_roll_m.tolist() == [0.0, 0.0, 0.07614]
-    assert GALEN.roll_to_tilt_m.tolist() == [0.6085, 0.0, 0.013]
-    assert GALEN.tilt_to_sensor_m.tolist() == [0.031248, 0.0, 0.025]
-    assert (GALEN.carriage_stiffness_n_m, GALEN.rod_stiffness_n_m) == (3e5, 2e6)
-    assert (GALEN.roll_stiffness_nm_rad, GALEN.tilt_stiffness_nm_rad) == (2000.0, 1500.0)
-    assert LIMITS.lower[3:].tolist() == [-1.57, -1.04]
-    assert LIMITS.upper[3:].tolist() == [1.57, 0.96]
+    assert GALEN.delta.radius_m == pytest.approx(0.165)
+    assert (GALEN.delta.rod_half_spacing_m, GALEN.delta.carriage_travel_m) == (0.0552, 0.25)
+    assert np.degrees(GALEN.delta.leg_angles_rad) == pytest.approx([-60.0, 60.0, 180.0])
+    assert GALEN.joints[3].origin_m.tolist() == [0.0, 0.0, 0.07614]
+    assert GALEN.joints[4].origin_m.tolist() == [0.6085, 0.0, 0.013]
+    assert GALEN.sensor_origin_m.tolist() == [0.031248, 0.0, 0.025]
+    assert (GALEN.delta.carriage_stiffness, GALEN.delta.rod_stiffness) == (3e5, 2e6)
+    assert (GALEN.joints[3].stiffness, GALEN.joints[4].stiffness) == (2000.0, 1500.0)
+    assert GALEN.lower[3:].tolist() == [-1.57, -1.04]
+    assert GALEN.upper[3:].tolist() == [1.57, 0.96]
 
 
 def test_sensor_encoders_and_tracker():

@@ -10,7 +10,7 @@ from galen_model.arm.clearance import (
     ObstacleError,
     boxes_from_numbers,
 )
-from galen_model.arm.galen import GALEN, HOME
+from galen_model.arm.galen import GALEN
 from galen_model.arm.routes import Router
 from galen_model.poses.design import angle_grid
 
@@ -24,7 +24,7 @@ def clearance(*boxes, tip=TIP):
 
 
 def at(roll, tilt):
-    return np.array([*HOME[:3], roll, tilt])
+    return np.array([*GALEN.home[:3], roll, tilt])
 
 
 def test_a_wall_beside_the_tip_is_as_far_as_the_tip_says():
@@ -79,7 +79,7 @@ def test_a_thin_wall_between_two_free_poses_is_seen():
 
 def test_ways_lead_around_and_every_leg_is_free():
     arm = clearance([0.5, 0.05, 0.2, 0.9, 0.5, 0.44])
-    router = Router(arm, HOME, angle_grid((-1.5, -1.0), (1.5, 0.9), 9, 7))
+    router = Router(arm, GALEN.home, angle_grid((-1.5, -1.0), (1.5, 0.9), 9, 7))
     start, goal = at(0.0, -0.6), at(1.5, -0.6)
     assert "box 1" in arm.path_fault(start, goal)
     way = router.route(start, goal)
@@ -95,13 +95,17 @@ def test_what_can_not_be_reached_is_named():
     wall = [0.3, -0.6, 0.0, 1.2, -0.09, 0.8]
     arm = clearance(wall)
     lattice = angle_grid((-1.5, -1.0), (1.5, 0.9), 9, 7)
-    router = Router(arm, HOME, lattice)
+    router = Router(arm, GALEN.home, lattice)
     faults = router.lattice_faults
     assert 0 < sum(map(bool, faults)) < len(faults)
     assert all("box 1" in fault for fault in faults if fault)
     assert "box 1" in router.fault(at(*lattice[next(k for k, f in enumerate(faults) if f)]))
     with pytest.raises(ObstacleError, match=r"home can't be taken: the .* in box 1"):
-        Router(clearance([0.5, -0.1, 0.4, 0.9, 0.1, 0.6]), HOME, angle_grid((0, 0), (1, 0.5), 3, 3))
+        Router(
+            clearance([0.5, -0.1, 0.4, 0.9, 0.1, 0.6]),
+            GALEN.home,
+            angle_grid((0, 0), (1, 0.5), 3, 3),
+        )
     assert "limits" in arm.pose_fault(at(0.0, -1.2))
     with pytest.raises(ObstacleError, match=r"tip would be 150 m from ft_sensor.* in m"):
         clearance(wall, tip=np.array([150.0, 0.0, 0.0]))

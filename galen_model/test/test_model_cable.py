@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from galen_model.arm.galen import GALEN, HOME, SENSOR
+from galen_model.arm.galen import GALEN, SENSOR
 from galen_model.errors import CalibrationFileError, NotExcitedError
 from galen_model.files.calibration_file import (
     CalibrationFile,
@@ -42,14 +42,14 @@ def grid(rolls=6, tilts=5):
     roll, tilt = np.meshgrid(
         np.linspace(-1.2, 1.2, rolls), np.linspace(-0.9, 0.8, tilts), indexing="ij"
     )
-    joints = np.tile(HOME, (rolls * tilts, 1))
+    joints = np.tile(GALEN.home, (rolls * tilts, 1))
     joints[:, 3], joints[:, 4] = roll.ravel(), tilt.ravel()
     return joints
 
 
 def between(count=40, seed=3):
     rng = np.random.default_rng(seed)
-    joints = np.tile(HOME, (count, 1))
+    joints = np.tile(GALEN.home, (count, 1))
     joints[:, 3] = rng.uniform(-1.2, 1.2, count)
     joints[:, 4] = rng.uniform(-0.9, 0.8, count)
     return joints

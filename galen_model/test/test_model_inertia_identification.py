@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from galen_model.arm.galen import ENCODER_QUANTUM, GALEN, HOME, SENSOR
+from galen_model.arm.galen import ENCODER_QUANTUM, GALEN, SENSOR
 from galen_model.arm.sensor_motion import sensor_motion
 from galen_model.errors import IdentificationError, NotExcitedError
 from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
@@ -29,7 +29,7 @@ def motion(times, size=SIZE):
     rate = RATES + 0.5 * 0.37 * np.cos(0.37 * times)[:, None]
     rate_rate = -0.5 * 0.37**2 * np.sin(0.37 * times)[:, None]
     return (
-        HOME + size * np.sin(angle),
+        GALEN.home + size * np.sin(angle),
         size * rate * np.cos(angle),
         size * (rate_rate * np.cos(angle) - rate**2 * np.sin(angle)),
     )

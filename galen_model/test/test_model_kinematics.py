@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from galen_model.arm.galen import GALEN, HOME, LIMITS
+from galen_model.arm.galen import GALEN
 from galen_model.arm.pinocchio_arm import PinocchioArm
 from galen_model.errors import KinematicsError
 
@@ -11,7 +11,7 @@ TIP = np.array([0.18, 0.01, 0.05])
 
 def random_joints(count, seed=1):
     rng = np.random.default_rng(seed)
-    return rng.uniform(LIMITS.lower, LIMITS.upper, (count, 5))
+    return rng.uniform(GALEN.lower, GALEN.upper, (count, 5))
 
 
 def test_closed_form_equals_pinocchio_on_the_urdf():
@@ -28,7 +28,7 @@ def test_closed_form_equals_pinocchio_on_the_urdf():
 
 
 def test_home_is_where_the_chain_of_offsets_puts_it():
-    rotation, origin = GALEN.sensor_pose(HOME)
+    rotation, origin = GALEN.sensor_pose(GALEN.home)
     # 0.6085 + 0.031248 forward; 0.408 + 0.07614 + 0.013 + 0.025 up; z of the sensor along x
     np.testing.assert_allclose(origin, [0.639748, 0.0, 0.52214], atol=1e-12)
     np.testing.assert_allclose(rotation, [[0, 0, 1], [0, 1, 0], [-1, 0, 0]], atol=1e-12)
@@ -43,7 +43,7 @@ def test_gravity_in_the_sensor_is_the_rotated_vector():
 
 def test_delta_forward_undoes_inverse():
     delta = GALEN.delta
-    np.testing.assert_allclose(delta.carriages(HOME[:3]), 0.0, atol=1e-15)
+    np.testing.assert_allclose(delta.carriages(GALEN.home[:3]), 0.0, atol=1e-15)
     for q in random_joints(200, seed=4):
         carriages = delta.carriages(q[:3], check_travel=False)
         np.testing.assert_allclose(delta.platform(carriages), q[:3], atol=1e-12)
@@ -81,13 +81,13 @@ def test_where_the_joint_limits_are_inside_the_carriages_travel():
     """Up to 0.503 m everywhere in the box, no higher in its worst corner; never too low."""
     delta = GALEN.delta
     highest = []
-    for x in np.linspace(LIMITS.lower[0], LIMITS.upper[0], 15):
-        for y in np.linspace(LIMITS.lower[1], LIMITS.upper[1], 15):
-            for z in (LIMITS.lower[2], HOME[2]):
+    for x in np.linspace(GALEN.lower[0], GALEN.upper[0], 15):
+        for y in np.linspace(GALEN.lower[1], GALEN.upper[1], 15):
+            for z in (GALEN.lower[2], GALEN.home[2]):
                 assert np.all(np.isfinite(delta.carriages([x, y, z])))
             # a carriage goes with the platform, one to one, when only z changes
-            above = delta.carriages([x, y, HOME[2]]).max()
-            highest.append(HOME[2] + GALEN.carriage_travel_m - above)
+            above = delta.carriages([x, y, GALEN.home[2]]).max()
+            highest.append(GALEN.home[2] + GALEN.delta.carriage_travel_m - above)
     assert min(highest) == pytest.approx(0.503, abs=1e-3)
     assert max(highest) == pytest.approx(0.658, abs=1e-3)
-    assert min(highest) < LIMITS.upper[2]
+    assert min(highest) < GALEN.upper[2]

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pinocchio
 import pytest
-from galen_model.arm.galen import LIMITS
+from galen_model.arm.galen import GALEN
 from galen_model.arm.pinocchio_arm import PinocchioArm
 from galen_model.arm.sensor_motion import MotionOfSensor, sensor_motion
 from galen_model.errors import CalibrationFileError
@@ -33,7 +33,7 @@ def random_motion(count=30, seed=3):
     rng = np.random.default_rng(seed)
     scale = np.array([0.2, 0.2, 0.2, 1.5, 1.5])
     return (
-        rng.uniform(LIMITS.lower, LIMITS.upper, (count, 5)),
+        rng.uniform(GALEN.lower, GALEN.upper, (count, 5)),
         rng.standard_normal((count, 5)) * scale,
         rng.standard_normal((count, 5)) * 4 * scale,
     )

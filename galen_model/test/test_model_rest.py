@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from galen_model.arm.galen import ENCODER_QUANTUM, HOME
+from galen_model.arm.galen import ENCODER_QUANTUM, GALEN
 from galen_model.rest.segments import JointRest, allowed_travel, rest_by_joints
 from galen_model.rest.windows import WINDOW_S, StillWindows
 
@@ -17,7 +17,7 @@ def encoded(joints):
 def recording(rate_hz, *, moves=((1.0, 2.0), (4.0, 4.5)), duration_s=6.0, joint=3, size=0.4):
     """Stamps (n,) and joints (n, 5) that stand but for quintic moves of one joint."""
     time = np.arange(round(duration_s * rate_hz)) / rate_hz
-    joints = np.tile(HOME, (len(time), 1))
+    joints = np.tile(GALEN.home, (len(time), 1))
     for first, last in moves:
         x = np.clip((time - first) / (last - first), 0.0, 1.0)
         joints[:, joint] += size * x**3 * (10.0 - 15.0 * x + 6.0 * x**2)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from galen_model.arm.galen import GALEN, HOME, LIMITS
+from galen_model.arm.galen import GALEN
 from galen_model.rotation import rotvec_to_matrix
 
 TIP = np.array([0.15, 0.0, 0.05])
@@ -10,13 +10,13 @@ TIP = np.array([0.15, 0.0, 0.05])
 
 def test_flange_stiffness_at_home():
     """66, 10.5 and 36 N/mm in x, y, z: computed independently for the study of this arm."""
-    compliance = GALEN.tip_compliance(HOME, np.zeros(3))
+    compliance = GALEN.tip_compliance(GALEN.home, np.zeros(3))
     np.testing.assert_allclose(1.0 / np.diag(compliance)[:3] / 1e3, [66.0, 10.5, 36.0], rtol=0.01)
 
 
 def test_compliance_is_symmetric_and_positive():
     rng = np.random.default_rng(1)
-    for q in rng.uniform(LIMITS.lower, LIMITS.upper, (20, 5)):
+    for q in rng.uniform(GALEN.lower, GALEN.upper, (20, 5)):
         compliance = GALEN.tip_compliance(q, TIP)
         np.testing.assert_allclose(compliance, compliance.T, rtol=1e-9, atol=1e-15)
         assert np.linalg.eigvalsh(compliance).min() > 0.0
@@ -34,21 +34,21 @@ def test_platform_stiffness_equals_the_rods_strain_energy():
         twist = rng.standard_normal(6) * 1e-6
         turn = rotvec_to_matrix(twist[3:])
         stretch, leg_of = [], []
-        for leg, angle in enumerate(GALEN.leg_angles_rad):
+        for leg, angle in enumerate(GALEN.delta.leg_angles_rad):
             radial = np.array([np.cos(angle), np.sin(angle), 0.0])
             along = np.array([-np.sin(angle), np.cos(angle), 0.0])
             for side in (1, -1):
                 ball = 0.050 * radial + side * 0.0552 * along
-                foot = p + ball - GALEN.rod_length_m * directions[leg]
+                foot = p + ball - GALEN.delta.rod_length_m * directions[leg]
                 moved = p + twist[:3] + turn @ ball
-                stretch.append(np.linalg.norm(moved - foot) - GALEN.rod_length_m)
+                stretch.append(np.linalg.norm(moved - foot) - GALEN.delta.rod_length_m)
                 leg_of.append(leg)
         stretch, leg_of = np.array(stretch), np.array(leg_of)
         # carriage i yields by s_i along z, taking n_z s_i off its two rods' stretch
         energy = 0.0
         for leg in range(3):
             mine, nz = stretch[leg_of == leg], directions[leg, 2]
-            k, kq = GALEN.rod_stiffness_n_m, GALEN.carriage_stiffness_n_m
+            k, kq = GALEN.delta.rod_stiffness, GALEN.delta.carriage_stiffness
             yield_m = k * nz * mine.sum() / (kq + 2 * k * nz**2)
             energy += 0.5 * kq * yield_m**2 + 0.5 * k * np.sum((mine - nz * yield_m) ** 2)
         assert 0.5 * twist @ GALEN.delta.platform_stiffness(p) @ twist == pytest.approx(
@@ -76,7 +76,11 @@ def test_a_rods_row_is_what_a_twist_of_the_platform_lengthens_it_by(platform):
     """Finite differences of the rods' own lengths, their lower ends held where they are."""
     platform = np.array(platform)
     delta, balls = GALEN.delta, GALEN.delta.ball_joints_m
-    lower = platform + balls - GALEN.rod_length_m * np.repeat(delta.rod_directions(platform), 2, 0)
+    lower = (
+        platform
+        + balls
+        - GALEN.delta.rod_length_m * np.repeat(delta.rod_directions(platform), 2, 0)
+    )
     np.testing.assert_allclose(np.linalg.norm(balls[0::2] - balls[1::2], axis=1), 2 * 0.0552)
 
     def lengths(twist):

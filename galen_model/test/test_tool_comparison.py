@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from galen_model.arm.galen import LIMITS
+from galen_model.arm.galen import GALEN
 from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
 from galen_model.files.comparison import (
     IncomparableError,
@@ -82,7 +82,7 @@ def test_the_worst_case_is_the_largest_over_the_workspace() -> None:
     other = with_load(0.2, np.array([0.07, -0.01, 0.055]), residual_offset=np.full(6, 0.01))
     comparison = compare_calibrations(POINTER, other)
     rng = np.random.default_rng(5)
-    angles = rng.uniform(LIMITS.lower[3:], LIMITS.upper[3:], (20000, 2))
+    angles = rng.uniform(GALEN.lower[3:], GALEN.upper[3:], (20000, 2))
     difference = other.predict(angles) - POINTER.predict(angles)
     for worst, part in ((comparison.worst_force, slice(3)), (comparison.worst_torque, slice(3, 6))):
         drawn = np.linalg.norm(difference[:, part], axis=1).max()

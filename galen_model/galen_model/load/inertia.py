@@ -242,7 +242,7 @@ def fit_imu(gravity: Array, specific: Array) -> ImuFit:
     read = specific - specific.mean(axis=0)
     spread = np.linalg.svd(about, compute_uv=False) / np.linalg.norm(gravity)
     if spread[1] < _LEAST_SPREAD:
-        raise NotExcitedError("the poses don't tell how the IMU is turned: tilt about two axes")
+        raise NotExcitedError("the poses don't tell how the IMU is turned: turn about two axes")
     left, sizes, right = np.linalg.svd(about.T @ read)
     proper = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
     rotation = left @ proper @ right
