@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from galen_bags.arrays.arm_recording import Samples
-from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_ros.stream.regular_run import Arrivals
 from galen_ros.stream.samples import PairedWrench, Rejected, Result
@@ -37,7 +36,7 @@ class BlockResult(NamedTuple):
     index: np.ndarray = np.zeros(0, dtype=np.int64)
     stamp_ns: np.ndarray = np.zeros(0, dtype=np.int64)
     wrench: Array = np.zeros((0, 6))
-    angles: Array = np.zeros((0, len(GALEN.turning)))
+    angles: Array = np.zeros((0, 0))
     rejected: Sequence[Rejected] = ()
 
 
@@ -92,12 +91,13 @@ class _Pushing:
         self.at = 0
         self._joint_row = 0
         self._wrench_row = 0
-        all_joints = joints.values[:, : len(GALEN.joints)]
-        self._joint_values = all_joints if sink.needs_positions else GALEN.angles(all_joints)
-        self._paired = all_joints if sink.pairs_positions else GALEN.angles(all_joints)
+        all_joints = joints.values[:, : len(sink.arm.joints)]
+        angles = sink.arm.angles(all_joints)
+        self._joint_values = all_joints if sink.needs_positions else angles
+        self._paired = all_joints if sink.pairs_positions else angles
         self._joint_usable = _all_but(joints.bad, len(joints))
         self._wrench_readable = _all_but(wrenches.bad, len(wrenches))
-        self._parts = [BlockResult()]
+        self._parts = [BlockResult(angles=np.zeros((0, len(sink.arm.turning))))]
         self._single: list[PairedWrench] = []
         self._rejected: list[Rejected] = []
 

@@ -28,6 +28,7 @@ from dataclasses import dataclass, field
 from itertools import islice
 
 import numpy as np
+from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_ppf
@@ -42,13 +43,7 @@ from galen_model.evidence.verdict import (
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.rest.windows import StillWindow, StillWindows
 
-from galen_gravcomp.evidence import (
-    FitEvidence,
-    Judgement,
-    Segments,
-    log_density_of_pull,
-    log_odds_of_pull,
-)
+from galen_gravcomp.evidence import FitEvidence, Judgement, Segments
 
 _NEWEST = 4
 _LONE_S = 15.0
@@ -101,7 +96,8 @@ class RestSegment:
 class SegmentMemory:
     """The last segments, oldest first."""
 
-    def __init__(self) -> None:
+    def __init__(self, arm: Arm) -> None:
+        self._arm = arm
         self.segments: deque[RestSegment] = deque()
         self._open = False
 
@@ -122,7 +118,7 @@ class SegmentMemory:
 
     def add(self, window: StillWindow) -> RestSegment:
         """Add a window to the newest segment, or begin another; returns the segment."""
-        unit = np.asarray(GALEN.gravity_in_sensor(window.angles))
+        unit = np.asarray(self._arm.gravity_in_sensor(window.angles))
         unit = unit / np.linalg.norm(unit)
         segment = self.segments[-1] if self.segments and self._open else None
         if segment is not None and _goes_on(segment, window, unit):
@@ -181,7 +177,8 @@ def _near(segment: RestSegment, window: StillWindow, unit: Array) -> bool:
 class CalibrationMonitor:
     """Judges a calibration by the rest segments of what goes out."""
 
-    def __init__(self, limits: Limits | None = None) -> None:
+    def __init__(self, limits: Limits | None = None, arm: Arm = GALEN) -> None:
+        self._arm = arm
         self._limits = limits or Limits()
         self._windows = StillWindows()
         self._evidence: FitEvidence | None = None
@@ -209,7 +206,7 @@ class CalibrationMonitor:
     def set_tool(self, tool: CalibrationFile | None) -> None:
         """Monitor another tool; the segments are forgotten."""
         self._tool = tool
-        self._evidence = None if tool is None else FitEvidence(tool)
+        self._evidence = None if tool is None else FitEvidence(tool, self._arm)
         self.clear()
 
     def clear(self) -> None:
@@ -248,7 +245,7 @@ class CalibrationMonitor:
     # Inside
 
     def _forget(self) -> None:
-        self._memory = SegmentMemory()
+        self._memory = SegmentMemory(self._arm)
         self.verdict = Verdict(Cause.UNKNOWN)
         self._judgement: Judgement | None = None
         self._work = iter(())
@@ -378,13 +375,13 @@ class CalibrationMonitor:
         if len(counted) < _FEWEST[Cause.UNEXPLAINED] or 2 * len(counted) < of:
             return False
         arrays = _as_arrays(counted)
-        return log_odds_of_pull(arrays, self._evidence.variance(arrays)) > _SURE
+        return self._evidence.log_odds_of_pull(arrays) > _SURE
 
     def _may_be_pulled(self, judgement: Judgement, segments: list[RestSegment]) -> bool:
         """Whether a cable that pulls explains it nearly as well as a load or a drift."""
         assert self._evidence is not None
         arrays = _as_arrays(_counted(judgement, segments))
-        pull = log_density_of_pull(arrays, self._evidence.variance(arrays))
+        pull = self._evidence.log_density_of_pull(arrays)
         own = self._evidence.log_density_of(judgement.explanation, arrays)
         return pull > own - _CONTRADICTION
 

@@ -15,6 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 from galen_bags.arrays.arm_recording import Samples
+from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
@@ -33,7 +34,6 @@ from galen_gravcomp.corrections.inertial import ImuMotion, InertialForces, Joint
 from galen_gravcomp.corrections.tare import TareOutcome, TareRamp, TareWindow
 from galen_gravcomp.parameters import GravcompParameters
 
-_ANGLES = GALEN.turning
 _MOTIONS: dict[str, type[InertialForces]] = {"joints": JointMotion, "imu": ImuMotion}
 _IMPOSSIBLE = (
     "inertial forces are not known: they come out beyond the sensor's range; does joint_states (or"
@@ -58,16 +58,18 @@ class Compensator:
         self,
         parameters: GravcompParameters | None = None,
         on_restart: Callable[[str], None] | None = None,
+        arm: Arm = GALEN,
     ) -> None:
         """`on_restart(why)` is called after everything was cleared because the driver restarted."""
+        self.arm = arm
         self._parameters = p = parameters or GravcompParameters()
         self._sensor_range = np.array(p.sensor_range)
         self._on_restart = on_restart
-        self.motion = _MOTIONS[p.motion](p) if p.motion in _MOTIONS else None
+        self.motion = _MOTIONS[p.motion](p, arm) if p.motion in _MOTIONS else None
         """Inertial forces, where the parameters ask for them."""
-        self.bias_drift = BiasDrift(enabled=p.bias_drift, ramp_s=p.tare_ramp_s)
+        self.bias_drift = BiasDrift(enabled=p.bias_drift, ramp_s=p.tare_ramp_s, arm=arm)
         limits = Limits(p.fit_limit_force_n, p.fit_limit_torque_nm)
-        self.monitor = CalibrationMonitor(limits) if p.calibration_monitor else None
+        self.monitor = CalibrationMonitor(limits, arm) if p.calibration_monitor else None
         """Checks whether the calibration file fits."""
         self.pairing = WrenchPairing(p, self._forget_driver, awaited=self.motion)
         self._enabled = True
@@ -152,7 +154,7 @@ class Compensator:
         self.cancel_tare("the tool was changed")
         self._ramp.reset()
         self._tool = tool
-        self._prediction = None if tool is None else Prediction(tool)
+        self._prediction = None if tool is None else Prediction(tool, self.arm)
         self._no_tool_detail = why_none
         own_frame = "" if tool is None else tool.sensor_frame
         self.pairing.sensor_frame = self._parameters.sensor_frame or own_frame
@@ -182,7 +184,9 @@ class Compensator:
             raise TareRejectedError(f"not tared: {self._no_tool_detail}")
         if self._window is not None:
             raise TareRejectedError("not tared: a tare is already running")
-        self._window = TareWindow(self._parameters, self.pairing.newest_wrench_ns, on_done)
+        self._window = TareWindow(
+            self._parameters, self.pairing.newest_wrench_ns, on_done, self.arm.turning_names
+        )
 
     def cancel_tare(self, why: str) -> None:
         """End a running tare without an effect."""
@@ -204,11 +208,12 @@ class Compensator:
         joints: the arm's (n,), m and rad, or its angles (k,) alone, which do where
         `needs_positions` is false.
         """
-        if self.needs_positions and len(joints) == len(_ANGLES):
-            joints = tuple(GALEN.with_angles(joints, np.full(len(GALEN.joints), np.nan)).tolist())
+        if self.needs_positions and len(joints) == len(self.arm.turning):
+            unknown = np.full(len(self.arm.joints), np.nan)
+            joints = tuple(self.arm.with_angles(joints, unknown).tolist())
         if self.motion is not None:
             self.motion.push_joints(stamp_ns, joints)
-        paired = joints if self.pairs_positions else _angles(joints)
+        paired = joints if self.pairs_positions else self._angles(joints)
         results = self.pairing.push_joints(stamp_ns, paired)
         return self._made(results) if results else []
 
@@ -270,7 +275,7 @@ class Compensator:
         """Take the cable of another tool, or none."""
         before = self.pairs_positions
         drag = None if tool is None else tool.cable
-        self.cable = None if drag is None else CablePull(drag)
+        self.cable = None if drag is None else CablePull(drag, self.arm)
         if self.pairs_positions == before:
             return []
         # The joints so far were kept as angles alone, or with others that no one needs now.
@@ -305,7 +310,7 @@ class Compensator:
         paired = self.pairing.push_run(arrivals)
         self.compensated += len(paired.number)
         self.pushed_as_arrays += paired.taken
-        angles = paired.joints[:, _ANGLES] if self.pairs_positions else paired.joints
+        angles = self.arm.angles(paired.joints) if self.pairs_positions else paired.joints
         pull = 0.0 if self.cable is None else self.cable.readings(paired.joints)
         wrench = prediction.compensate(paired.raw - pull, angles)
         wrench -= self._ramp.target
@@ -319,7 +324,7 @@ class Compensator:
 
     def _compensate(self, paired: PairedWrench) -> Result:
         stamp_ns, raw, joints, tag, number = paired
-        angles = _angles(joints)
+        angles = self._angles(joints)
         prediction, cable = self._prediction, self.cable
         assert prediction is not None
         expected = prediction.reading(angles)
@@ -347,7 +352,7 @@ class Compensator:
         self.compensated += 1
         return PairedWrench(stamp_ns, compensated, joints, tag, number)
 
-
-def _angles(joints: tuple[float, ...]) -> tuple[float, ...]:
-    """Values (k,) of the revolute joints, of all joints (n,) or of these alone."""
-    return joints if len(joints) == len(_ANGLES) else tuple(joints[k] for k in _ANGLES)
+    def _angles(self, joints: tuple[float, ...]) -> tuple[float, ...]:
+        """Values (k,) of the revolute joints, of all joints (n,) or of these alone."""
+        turning = self.arm.turning
+        return joints if len(joints) == len(turning) else tuple(joints[k] for k in turning)

@@ -47,6 +47,7 @@ from collections.abc import Generator
 from dataclasses import dataclass
 
 import numpy as np
+from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN, GRAVITY_M_S2
 from galen_model.arrays import Array
 from galen_model.evidence import columns
@@ -152,7 +153,8 @@ class Judgement:
 class FitEvidence:
     """Judges segments of one tool's file."""
 
-    def __init__(self, tool: CalibrationFile) -> None:
+    def __init__(self, tool: CalibrationFile, arm: Arm = GALEN) -> None:
+        self._arm = arm
         self._tool = tool
         self._scale = float(tool.gravity_m_s2[2] / GRAVITY_M_S2[2])
         self._mass_kg = float(tool.load.mass_kg + tool.adapter.mass_kg)
@@ -175,7 +177,7 @@ class FitEvidence:
 
     def design(self, segments: Segments) -> Array:
         """Phi (n, 6, 17) of the parameters, see above."""
-        gravity = GALEN.gravity_in_sensor(segments.angles) * self._scale
+        gravity = self._arm.gravity_in_sensor(segments.angles) * self._scale
         hours = (segments.end_ns - int(segments.end_ns[-1])) / 3.6e12
         return np.concatenate(
             [
@@ -227,6 +229,28 @@ class FitEvidence:
         own = self._noise(k, self.variance(segments))[None]
         information = _information(self.design(segments), own, segments.mean).total()
         return float(log_evidence(information, self._prior)[k])
+
+    def log_odds_of_pull(self, segments: Segments) -> float:
+        """Log odds of a pull by the pose against hands."""
+        variance = self.variance(segments)
+        means = segments.mean - np.median(segments.mean, axis=0)
+        order = np.arange(len(segments))
+        slow = np.exp(-np.abs(order[:, None] - order) / _SEGMENTS_ALIKE)
+        density = _log_density(means, variance, np.array([*self._by_pose(segments), slow]))
+        pulls = _log_mean(density[:-1], 0)
+        hands = np.maximum(density[-1], _log_density_of_hands(means, variance))
+        return float(np.min(pulls - hands))
+
+    def log_density_of_pull(self, segments: Segments) -> float:
+        """Log density of all means (n, 6) if a pull by the pose is all there is."""
+        density = _log_density(segments.mean, self.variance(segments), self._by_pose(segments))
+        return float(np.sum(_log_mean(density, 0)))
+
+    def _by_pose(self, segments: Segments) -> Array:
+        """Kernels (lengths, n, n)."""
+        unit = self._arm.gravity_in_sensor(segments.angles) / -GRAVITY_M_S2[2]
+        square = np.sum((unit[:, None] - unit) ** 2, axis=2)
+        return np.array([np.exp(-square / (2.0 * length**2)) for length in _LENGTHS])
 
     def judge(self, segments: Segments) -> Generator[None, None, Judgement]:
         """The likeliest explanation of all the segments together; yields between pieces of work."""
@@ -306,29 +330,6 @@ def _predicted(design: Array, own: Array, mean: Array, covariance: Array, value:
     log_det = np.linalg.slogdet(spread)[1]
     log_noise = np.sum(np.log(own), axis=2)
     return np.asarray(-0.5 * (square + 2.0 * log_noise - log_det + 6.0 * LOG_2PI))
-
-
-def log_odds_of_pull(segments: Segments, variance: Array) -> float:
-    """Log odds of a pull by the pose against hands; `variance` (n, 6): of the noise."""
-    means = segments.mean - np.median(segments.mean, axis=0)
-    order = np.arange(len(segments))
-    slow = np.exp(-np.abs(order[:, None] - order) / _SEGMENTS_ALIKE)
-    density = _log_density(means, variance, np.array([*_by_pose(segments), slow]))
-    pulls = _log_mean(density[:-1], 0)
-    hands = np.maximum(density[-1], _log_density_of_hands(means, variance))
-    return float(np.min(pulls - hands))
-
-
-def log_density_of_pull(segments: Segments, variance: Array) -> float:
-    """Log density of all means (n, 6) if a pull by the pose is all there is."""
-    return float(np.sum(_log_mean(_log_density(segments.mean, variance, _by_pose(segments)), 0)))
-
-
-def _by_pose(segments: Segments) -> Array:
-    """Kernels (lengths, n, n)."""
-    unit = GALEN.gravity_in_sensor(segments.angles) / -GRAVITY_M_S2[2]
-    square = np.sum((unit[:, None] - unit) ** 2, axis=2)
-    return np.array([np.exp(-square / (2.0 * length**2)) for length in _LENGTHS])
 
 
 def _log_density(means: Array, variance: Array, kernels: Array) -> Array:

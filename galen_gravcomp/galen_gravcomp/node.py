@@ -5,7 +5,6 @@ import time
 from typing import Any
 
 import numpy as np
-from galen_model.arm.galen import JOINT_NAMES
 from galen_model.arrays import Array
 from galen_model.errors import CalibrationFileError, ToolNameError
 from galen_model.files.calibration_file import CalibrationFile
@@ -98,8 +97,9 @@ class GravcompNode(StreamNode):
     def _choose_joints(self) -> None:
         """Read all joints from joint_states only while they are needed, else the angles."""
         p = self._config
-        platform = p.position_joint_names if self._compensator.needs_positions else ()
-        self._read_joints(platform + p.joint_names)
+        arm, needs_all = self._compensator.arm, self._compensator.needs_positions
+        places = range(len(arm.joints)) if needs_all else arm.turning
+        self._read_joints([p.joint_names[k] for k in places])
 
     def _publish(self, result: PairedWrench, raw: RawWrench) -> None:
         # The input's own bytes with other numbers: stamp and frame_id can't but be kept.
@@ -108,14 +108,18 @@ class GravcompNode(StreamNode):
     # Tools
 
     def _live_joints(self) -> Array:
-        """Joints (5,), m and rad; NaN where they are not known, or were long ago."""
+        """Joints (n,), m and rad; NaN where they are not known, or were long ago."""
         p, newest = self._config, self._newest_joint_state
-        joints = np.full(len(JOINT_NAMES), np.nan)
+        joints = np.full(len(p.joint_names), np.nan)
         if newest is None or time.monotonic() - newest[0] > p.silence_s:
             return joints
-        for names, place in ((p.joint_names, slice(3, 5)), (p.position_joint_names, slice(0, 3))):
+        turning = self._compensator.arm.turning
+        # A driver may send the revolute ones alone.
+        for places in (range(len(joints)), turning):
             with contextlib.suppress(JointStateError, UnreadableError):
-                joints[place] = JointWire(names).read(newest[1])[1]
+                wire = JointWire([p.joint_names[k] for k in places])
+                joints[list(places)] = wire.read(newest[1])[1]
+                break
         return joints
 
     def _load_at_start(self, name: str) -> None:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from galen_model.arm.galen import GALEN
 from galen_model.evidence.verdict import Limits
 from galen_ros.parameters import param
 from galen_ros.stream.pairing import StreamParameters
@@ -24,11 +25,9 @@ class GravcompParameters(StreamParameters):
         "", "frame_id that `wrench_raw` must have; empty: the one in the tool's file"
     )
     joint_names: tuple[str, ...] = param(
-        ("roll", "tilt"), "names of the roll and the tilt joint in `joint_states`, in this order"
-    )
-    position_joint_names: tuple[str, ...] = param(
-        ("delta_x", "delta_y", "delta_z"),
-        "names of the joints that are the platform's position, m; read only where it is needed",
+        GALEN.joint_names,
+        "names in `joint_states` of the arm's joints, in its order; prismatic ones are read only"
+        " where they are needed",
     )
     motion: str = param(
         "off",
@@ -91,15 +90,10 @@ class GravcompParameters(StreamParameters):
     def validate(self) -> None:
         """Check what no single range can say."""
         super().validate()
-        if len(self.joint_names) != 2 or len(set(self.joint_names)) != 2:
+        count = len(GALEN.joints)
+        if len(self.joint_names) != count or len(set(self.joint_names)) != count:
             raise ValueError(
-                f"parameter 'joint_names' is {list(self.joint_names)}, but must name two joints,"
-                " roll and tilt"
-            )
-        if len(set(self.position_joint_names)) != 3:
-            raise ValueError(
-                f"parameter 'position_joint_names' is {list(self.position_joint_names)}, but must"
-                " name three joints, x, y and z"
+                f"parameter 'joint_names' is {list(self.joint_names)}, but must name {count} joints"
             )
         if self.motion not in _MOTIONS:
             raise ValueError(

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 import rclpy
-from galen_model.arm.galen import JOINT_NAMES, SENSOR, SENSOR_FRAME
+from galen_model.arm.galen import GALEN, SENSOR, SENSOR_FRAME
 from galen_model.arrays import Array
 from galen_model.errors import CalibrationFileError, GalenError, ToolNameError
 from galen_model.files.calibration_store import (
@@ -251,7 +251,7 @@ class ToolServices:
     ) -> None:
         """Offer the services.
 
-        live_joints: joints (5,), m and rad, NaN where they are not known. `on_note(text)`: what
+        live_joints: joints (n,), m and rad, NaN where they are not known. `on_note(text)`: what
         became of the active file since; empty while as loaded.
         """
         self._node = node
@@ -340,7 +340,7 @@ class ToolServices:
             frame = SENSOR_FRAME if request.frame in own else request.frame
             given = joint_vector(list(request.joints))
             joints = given if len(request.joints) else live
-            used = [name in needed_joints(frame) for name in JOINT_NAMES]
+            used = [name in needed_joints(frame) for name in GALEN.joint_names]
             place = sensor_in_frame(frame, stored.tool.tip_m, joints)
             load = place.load(stored.tool.load)
             response.frame = request.frame or stored.tool.sensor_frame

@@ -13,8 +13,6 @@ from galen_ros.stream.monitor import Severity
 from scipy.stats import multivariate_normal
 from untouched_arm import NO_TOOL, POINTER, RETRACTOR, START_NS, UntouchedArm, push, tool_file
 
-from galen_gravcomp import evidence as pull_evidence
-
 
 class Watched:
     """A monitor with every verdict that it had: (time, cause)."""
@@ -179,11 +177,14 @@ def test_a_pull_is_told_from_hands_by_poses_near_each_other():
     waves = np.array([[1.5, 0.7], [-0.8, 1.9], [1.0, -1.2]])
     pull = 0.12 * np.sin(np.repeat(angles @ waves.T, 2, axis=1) + np.arange(6))
     pull *= np.repeat([1.0, 0.04], 3)
-    variance = np.full((14, 6), 0.01**2) * np.repeat([1.0, 0.04**2], 3)
+    quiet = tool_file()
+    quiet.rmse[:] = 0.0
+    evidence = FitEvidence(quiet)
+    std = np.full((14, 6), 1e-3) * np.repeat([1.0, 0.04], 3)
 
     def odds(mean, order):
-        stops = Segments(mean[order], variance**0.5, angles[order], START_NS + np.arange(14))
-        return pull_evidence.log_odds_of_pull(stops, variance)
+        segments = Segments(mean[order], std, angles[order], START_NS + np.arange(14))
+        return evidence.log_odds_of_pull(segments)
 
     assert odds(pull, np.arange(14)) > 9.2
     hands = [odds(rng.permutation(pull), np.arange(14)) for _ in range(20)]

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from calibration_files import pointer
 from galen_gravcomp.node import GravcompNode
+from galen_model.arm.galen import GALEN
 from galen_model.files.calibration_file import calibration_path, write_calibration
 from galen_ros.node.diagnostics import Level
 from galen_ros.node.testing import Harness, Lifecycle, parameters
@@ -106,12 +107,12 @@ def test_it_is_configured_anew_with_other_files_and_joints(harness: Harness, too
     said = bench.report(lambda s, v: v.get("lifecycle") == "unconfigured", "unconfigured")
     assert said["message"].startswith("unconfigured: nothing is read or published")
     assert not bench.node.get_publishers_info_by_topic("/wrench_compensated")
-    assert not life.set(tools_dir=str(other), joint_names=["a", "b"])
+    assert not life.set(tools_dir=str(other), joint_names=list("abcde"))
     assert life.go("configure", "activate")
     harness.wait_for(bench.driver.ready, 20.0, "the subscriptions")
     bench.driver.joints(bench.stamp, *STILL, names=("roll", "tilt"))
     bench.state("bad_joints", Level.ERROR, lambda: bench.step(PUSH))
-    assert life.go("deactivate", "cleanup") and not life.set(joint_names=["roll", "tilt"])
+    assert life.go("deactivate", "cleanup") and not life.set(joint_names=list(GALEN.joint_names))
     assert life.go("configure", "activate")
     harness.wait_for(bench.ready, 20.0, "inputs and output")
     stamp = bench.step(PUSH)

@@ -9,6 +9,7 @@ import pytest
 from calibration_files import pointer
 from diagnostic_msgs.msg import DiagnosticArray
 from galen_gravcomp.node import GravcompNode
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import (
     calibration_path,
@@ -274,7 +275,7 @@ def test_bad_tool_at_start_is_an_error_on_diagnostics(
 
 
 def test_wrong_parameter_is_named(harness: Harness, tools_dir: Path) -> None:
-    with pytest.raises(Exception, match=r"joint_names.*two joints"):
+    with pytest.raises(Exception, match=r"joint_names.*must name 5 joints"):
         Bench(harness, tools_dir, values={"joint_names": ["roll"]})
 
 
@@ -412,7 +413,10 @@ def test_namespace_and_remap(harness: Harness, tools_dir: Path) -> None:
         prefix="left_",
         wrench_raw="ft/raw",
         wrench_compensated="measured_cf",
-        values={"sensor_frame": "left_ft_sensor", "joint_names": ["left_roll", "left_tilt"]},
+        values={
+            "sensor_frame": "left_ft_sensor",
+            "joint_names": [f"left_{name}" for name in GALEN.joint_names],
+        },
     )
     topics = dict(bench.listener.get_publisher_names_and_types_by_node("gravcomp", "/left"))
     assert "/left/measured_cf" in topics

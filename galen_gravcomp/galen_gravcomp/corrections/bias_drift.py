@@ -38,6 +38,7 @@ from __future__ import annotations
 from enum import Enum
 
 import numpy as np
+from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN, GRAVITY_M_S2, WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.load.model import gravity_regressor
@@ -91,7 +92,8 @@ class BiasDriftState(Enum):
 class BiasDriftFilter:
     """The Kalman filter; takes means of windows at rest in the order of their times."""
 
-    def __init__(self) -> None:
+    def __init__(self, arm: Arm) -> None:
+        self._arm = arm
         self.begin()
 
     @property
@@ -156,7 +158,7 @@ class BiasDriftFilter:
 
     def _go_to(self, end_ns: int, angles: tuple[float, ...]) -> float:
         """Carry the states on to a time and pose; returns the elapsed time, s."""
-        gravity = np.asarray(GALEN.gravity_in_sensor(angles))
+        gravity = np.asarray(self._arm.gravity_in_sensor(angles))
         elapsed_s = 0.0
         if self._time_ns is not None and self._gravity is not None:
             elapsed_s = max((end_ns - self._time_ns) * 1e-9, 0.0)
@@ -186,11 +188,11 @@ class BiasDriftFilter:
 class BiasDrift:
     """The estimate of the bias drift, with its switch, limits and ramp."""
 
-    def __init__(self, *, enabled: bool = False, ramp_s: float = 1.0) -> None:
+    def __init__(self, *, enabled: bool = False, ramp_s: float = 1.0, arm: Arm = GALEN) -> None:
         """`ramp_s`: the tare's, along which every change is applied."""
         self._enabled = enabled
         self._windows = StillWindows()
-        self._filter = BiasDriftFilter()
+        self._filter = BiasDriftFilter(arm)
         self._ramp = TareRamp(ramp_s)
         self._tare: Array = np.zeros(6)
         self._newest_ns: int | None = None

@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.load.cable import SEEN, UNSEEN, LearnedPull
@@ -22,7 +23,8 @@ class CablePull:
     so one product with a matrix gives all of them.
     """
 
-    def __init__(self, drag: LearnedPull) -> None:
+    def __init__(self, drag: LearnedPull, arm: Arm = GALEN) -> None:
+        self._arm = arm
         self.drag = drag
         self._posterior = posterior = drag.posterior
         self._count = len(drag.joints)
@@ -108,25 +110,26 @@ class CablePull:
         if self._free:
             return np.asarray(smooth)
         values = smooth.tolist()
-        fx, fy, fz = _along_sensor(joints, values[:3])
+        fx, fy, fz = self._along_sensor(joints, values[:3])
         rx, ry, rz = self._attachment
         tx, ty, tz = ry * fz - rz * fy, rz * fx - rx * fz, rx * fy - ry * fx
         if len(values) == 6:
-            mx, my, mz = _along_sensor(joints, values[3:])
+            mx, my, mz = self._along_sensor(joints, values[3:])
             tx, ty, tz = tx + mx, ty + my, tz + mz
         return np.array((fx, fy, fz, tx, ty, tz))
+
+    def _along_sensor(
+        self, joints: tuple[float, ...], vector: list[float]
+    ) -> tuple[float, float, float]:
+        """A vector of the base's frame in the sensor's: R_base_sensor^T v."""
+        angles = [joints[k] for k in self._arm.turning]
+        x, y, z = vector
+        return self._arm.components_in_sensor(
+            (x, y, z), list(map(math.cos, angles)), list(map(math.sin, angles))
+        )
 
 
 def _step(missing: float) -> float:
     """`galen_model.load.cable.support_step` of one number."""
     x = min(max((missing - SEEN) / (UNSEEN - SEEN), 0.0), 1.0)
     return 1.0 - x * x * (3.0 - 2.0 * x)
-
-
-def _along_sensor(joints: tuple[float, ...], vector: list[float]) -> tuple[float, float, float]:
-    """A vector of the base's frame in the sensor's: R_base_sensor^T v."""
-    angles = [joints[k] for k in GALEN.turning]
-    x, y, z = vector
-    return GALEN.components_in_sensor(
-        (x, y, z), list(map(math.cos, angles)), list(map(math.sin, angles))
-    )

@@ -25,6 +25,7 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN
 from galen_model.arm.sensor_motion import MotionOfSensor
 from galen_model.arrays import Array
@@ -46,8 +47,6 @@ _US = 1000
 # From one sample to the next no joint goes further than this and 7 times its fastest: m, m/s; rad,
 # rad/s. A wrong sample, differentiated twice, would be a blow at the tool for a whole window.
 _LARGEST_STEP = {"m": (0.005, 1.5), "rad": (0.03, 10.0)}
-_JUMPS = tuple(_LARGEST_STEP[unit] for unit in GALEN.units)
-_ANGLES = GALEN.turning
 # As with joint_states: a longer step of the stamps is no gap, and this far apart are two clocks.
 _RESTART_NS = 1_000_000_000
 _OTHER_CLOCK_NS = 5_000_000_000
@@ -193,7 +192,8 @@ class InertialForces:
     source = ""
     topic = ""
 
-    def __init__(self, parameters: GravcompParameters) -> None:
+    def __init__(self, parameters: GravcompParameters, arm: Arm = GALEN) -> None:
+        self._arm = arm
         self._parameters = parameters
         self._window = MotionWindow(parameters, self.topic)
         self.set_tool(None)
@@ -211,7 +211,7 @@ class InertialForces:
         """Take another tool's loads; the samples stay."""
         self._inertia = inertia_source(tool)
         self._load: LoadInMotion | None = None
-        self._gravity: Callable[[Sequence[float]], Array] = GALEN.gravity_in_sensor
+        self._gravity: Callable[[Sequence[float]], Array] = self._arm.gravity_in_sensor
         if tool is None:
             return
         loads = (tool.load.load, tool.adapter.load)
@@ -259,11 +259,12 @@ class JointMotion(InertialForces):
     source = "joints"
     topic = "joint_states"
 
-    def __init__(self, parameters: GravcompParameters) -> None:
-        self._sensor = MotionOfSensor()
+    def __init__(self, parameters: GravcompParameters, arm: Arm = GALEN) -> None:
+        self._largest = tuple(_LARGEST_STEP[unit] for unit in arm.units)
+        self._sensor = MotionOfSensor(arm)
         self._zero = (0.0, 0.0)
         self._last: tuple[int, tuple[float, ...]] | None = None
-        super().__init__(parameters)
+        super().__init__(parameters, arm)
 
     def set_tool(self, tool: CalibrationFile | None) -> None:
         """Take another tool's loads and zeros of joints."""
@@ -280,9 +281,16 @@ class JointMotion(InertialForces):
     def push_joints(self, stamp_ns: int, joints: tuple[float, ...]) -> None:
         """Take joints (n,); with a NaN, and after a jump, the motion is unknown."""
         last, self._last = self._last, (stamp_ns, joints)
-        if last is not None and _jumps(stamp_ns - last[0], last[1], joints):
+        if last is not None and self._jumps(stamp_ns - last[0], last[1], joints):
             joints = (math.nan,) * len(joints)
         self._window.push(stamp_ns, joints)
+
+    def _jumps(self, step_ns: int, before: tuple[float, ...], joints: tuple[float, ...]) -> bool:
+        step_s = abs(step_ns) * 1e-9
+        return any(
+            abs(now - then) > size + speed * step_s
+            for now, then, (size, speed) in zip(joints, before, self._largest, strict=True)
+        )
 
     def reading(self, stamp_ns: int, angles: tuple[float, ...]) -> Array | str:
         """Inertial forces (6,) at a stamp, N and N.m in ft_sensor, or why they are not known."""
@@ -290,14 +298,14 @@ class JointMotion(InertialForces):
         found = self._window.at(stamp_ns)
         if isinstance(found, str):
             last = () if self._last is None else self._last[1]
-            others = [value for k, value in enumerate(last) if k not in _ANGLES]
+            others = [value for k, value in enumerate(last) if k not in self._arm.turning]
             if others and all(map(math.isnan, others)):
                 return f"{_UNKNOWN} joint_states lacks the platform's position"
             return found
         value, first, second = found
         then, change = angles, (0.0, 0.0, 0.0)
         if self._parameters.motion_lag_s:
-            then = tuple(value[list(_ANGLES)].tolist())
+            then = tuple(value[list(self._arm.turning)].tolist())
             x, y, z = (self._gravity(then) - self._gravity(angles)).tolist()
             change = (x, y, z)
         w, al, (ax, ay, az) = self._sensor.at(
@@ -328,7 +336,7 @@ class ImuMotion(InertialForces):
     source = "imu"
     topic = "the IMU"
 
-    def __init__(self, parameters: GravcompParameters) -> None:
+    def __init__(self, parameters: GravcompParameters, arm: Arm = GALEN) -> None:
         p = parameters
         self._mount = ImuMount(
             np.array(p.imu_rotvec_rad),
@@ -342,7 +350,7 @@ class ImuMotion(InertialForces):
         self._max_age_ns = round(p.max_joint_age_s * 1e9)
         self._first_wrench_ns: int | None = None
         self._received = 0
-        super().__init__(parameters)
+        super().__init__(parameters, arm)
 
     def late(self, newest_wrench_ns: int) -> tuple[Rejection, str] | None:
         """Why wrenches must not wait: the IMU lags, or never sent."""
@@ -402,11 +410,3 @@ class ImuMotion(InertialForces):
     def values(self) -> dict[str, object]:
         """For /diagnostics."""
         return {**super().values(), "imu_received": self._received}
-
-
-def _jumps(step_ns: int, before: tuple[float, ...], joints: tuple[float, ...]) -> bool:
-    step_s = abs(step_ns) * 1e-9
-    return any(
-        abs(now - then) > size + speed * step_s
-        for now, then, (size, speed) in zip(joints, before, _JUMPS, strict=True)
-    )

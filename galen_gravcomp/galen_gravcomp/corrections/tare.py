@@ -1,10 +1,9 @@
 """Tare: the residual wrench, averaged at rest and subtracted along a ramp."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 
 from galen_gravcomp.parameters import GravcompParameters
@@ -33,12 +32,14 @@ class TareWindow:
         parameters: GravcompParameters,
         after_ns: int | None,
         on_done: Callable[[TareOutcome], None],
+        angle_names: Sequence[str],
     ) -> None:
         """Take only samples stamped later than `after_ns` (None: any)."""
         self._parameters = parameters
         self._after_ns = after_ns
         self.finish = on_done
         """Answers the request."""
+        self._angle_names = angle_names
         self._stamps: list[int] = []
         self._angles: list[tuple[float, ...]] = []
         self._wrenches: list[Array] = []
@@ -89,7 +90,7 @@ class TareWindow:
                 f" at least {MIN_SAMPLES} are needed"
             )
         motion = np.ptp(np.array(self._angles), axis=0)
-        for name, moved in zip(GALEN.turning_names, motion, strict=True):
+        for name, moved in zip(self._angle_names, motion, strict=True):
             if moved > MAX_MOTION_RAD:
                 return (
                     f"{name} moved by {moved:.4f} rad in the window, the limit is"

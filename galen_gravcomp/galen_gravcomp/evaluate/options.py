@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from galen_bags.arrays.arm_recording import ArmTopics
-from galen_model.arm.galen import GRAVITY_M_S2, JOINT_NAMES
+from galen_model.arm.galen import GALEN, GRAVITY_M_S2
 from galen_model.evidence.verdict import Limits
 from galen_ros.command import (
     add_json,
@@ -82,9 +82,9 @@ def _add_bag_options(group: argparse._ArgumentGroup) -> None:
     add_topic(group, "--wrench-raw", topics.wrench_raw, "the raw wrench")
     group.add_argument(
         "--joint-names",
-        default=",".join(JOINT_NAMES),
+        default=",".join(GALEN.joint_names),
         metavar="NAMES",
-        help="names of the five joints; only the last two must be there (default: %(default)s)",
+        help="names of the joints; only the revolute ones must be there (default: %(default)s)",
     )
     group.add_argument(
         "--start-offset",
