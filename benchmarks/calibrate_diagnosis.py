@@ -62,7 +62,7 @@ class Known:
         """Probability of what was there: sets of effects that hold one acceptable name for each."""
         if self.kind == "none":
             return of.none
-        # What can't be distinguished from a healthy arm may be called so. A faint cause can, just: "none" is half
+        # What looks like a healthy arm may be called so. A faint cause can, just: "none" is half
         # right there, as it is better than any other cause.
         right = _FAINT * of.none if self.strength == "faint" else 0.0
         if all(NONE in names for names in self.acceptable):

@@ -74,7 +74,7 @@ def one_sample(rounds: int) -> list[Compared]:
     turned, _ = arm.pose(joints)
 
     def ours() -> Array:
-        return kernel.wrench(reading - kernel.reading(0.3, -0.2))
+        return kernel.wrench(reading - kernel.reading((0.3, -0.2)))
 
     def by_pinocchio() -> Array:
         rotation, _ = arm.pose(joints)
@@ -98,16 +98,16 @@ def arrays(rounds: int, samples: int = _SAMPLES) -> list[Compared]:
     tool = bench_tool()
     kernel = Prediction(tool)
     random = np.random.default_rng(1)
-    roll, tilt = random.uniform(-1.5, 1.5, (2, samples))
+    angles = random.uniform(-1.5, 1.5, (samples, 2))
     readings = random.normal(size=(samples, 6))
     from_here, to_here = np.ones(samples * 7), np.empty(samples * 7)
     mass, com = tool.load.mass_kg, tool.load.com_m
 
     def ours() -> Array:
-        return kernel.compensate(readings, roll, tilt)
+        return kernel.compensate(readings, angles)
 
     def by_peer() -> Array:
-        force = mass * GALEN.gravity_in_sensor(np.stack([roll, tilt], axis=-1))
+        force = mass * GALEN.gravity_in_sensor(angles)
         return np.asarray(readings - np.concatenate([force, np.cross(com, force)], axis=1))
 
     def copied() -> None:
@@ -175,10 +175,10 @@ def _sweeps(poses: int) -> tuple[StillPoses, StillPoses]:
     tool = bench_tool()
     out = []
     for load in (0.0, 1.0):
-        roll, tilt = random.uniform(-1.4, 1.4, poses), random.uniform(-0.9, 0.8, poses)
-        whole = tool.predict(np.stack([roll, tilt], axis=-1)) * (1.0 + load)
+        angles = random.uniform((-1.4, -0.9), (1.4, 0.8), (poses, 2))
+        whole = tool.predict(angles) * (1.0 + load)
         noise = SENSOR.noise_std / 10.0 * random.normal(size=(poses, 6))
-        out.append(StillPoses(np.stack([roll, tilt], axis=-1), whole + noise))
+        out.append(StillPoses(angles, whole + noise))
     return out[0], out[1]
 
 
