@@ -62,12 +62,6 @@ def test_what_was_flushed_can_be_read_while_it_grows(tmp_path: Path) -> None:
             assert any("cut off" in problem for problem in cut.problems)
 
 
-def test_a_place_that_can_not_be_written_is_named(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    with pytest.raises(BagError, match=r"file/bag: can't be written"):
-        GrowingBagWriter(tmp_path / "file" / "bag").__enter__()
-
-
 class FullDisk:
     """A file that takes `room` bytes more, half of what is too much, and then no more."""
 
@@ -110,16 +104,3 @@ def test_a_full_disk_is_said_and_what_was_flushed_is_whole(tmp_path: Path) -> No
         record()
     assert [(tmp_path / "bag" / "bag.mcap").stat().st_size, bag.size_bytes] == sizes * 2
     assert read_all(tmp_path / "bag") == expected(range(10))
-
-
-def test_a_disk_that_fills_at_the_end_leaves_what_was_flushed(tmp_path: Path) -> None:
-    def record() -> None:
-        with GrowingBagWriter(tmp_path / "bag") as bag:
-            write_some(bag, bag.add_topic("w", WRENCH), range(10))
-            bag.flush()
-            fill_disk(bag, room=300)
-
-    with pytest.raises(BagError, match="No space left"):
-        record()
-    assert read_all(tmp_path / "bag") == expected(range(10))
-    assert [path.name for path in (tmp_path / "bag").iterdir()] == ["bag.mcap"]

@@ -112,17 +112,6 @@ def test_joint_states(seed):
         assert_same(samples, messages, JOINT_STATE, order)
 
 
-def test_rows_of_a_block():
-    """Of a block that holds other messages too, in a buffer that begins before them."""
-    messages = [cdr(wrench(header(T0 + k), [k] * 6)) for k in range(10)]
-    block = pack([0] * 11, range(11), [b"\1" * 77, *messages]).rows(slice(1, None))
-    samples = Decoder(WRENCH).decode(block, np.array([7, 2, 2]))
-    assert samples.values[:, 0].tolist() == [7, 2, 2]
-    assert samples.stamp_ns.tolist() == [T0 + 7, T0 + 2, T0 + 2]
-    empty = Decoder(WRENCH).decode(block, np.zeros(0, np.intp))
-    assert len(empty) == 0 and empty.frame_ids == ("",)
-
-
 @pytest.mark.parametrize("extra", range(1, 9))
 def test_bytes_after_the_last_value(extra):
     """Fast CDR, as rclpy uses it, leaves up to 8 bytes after an empty last sequence.
@@ -210,10 +199,3 @@ def test_joint_states_that_can_not_be_used():
     assert np.array_equal(
         few.values[0], [2, 1, np.nan, np.nan, np.nan, 4, 3, np.nan, np.nan, np.nan], equal_nan=True
     )
-
-
-def test_a_block_in_which_every_message_is_another_one():
-    messages = [cdr(wrench(header(T0 + k, f"frame_{k}"), [k] * 6)) for k in range(500)]
-    samples = decode(Decoder(WRENCH), messages)
-    assert not samples.bad
-    assert_same(samples, messages, WRENCH)

@@ -14,7 +14,6 @@ from bags_samples import (
     arm_samples,
     channel,
     chunk,
-    index,
     mcap,
     mcap_of,
     message,
@@ -95,28 +94,6 @@ def test_mcap_whose_messages_are_out_of_order(tmp_path, chunk_of):
         assert read_by_rosbags(path) == in_order(samples)
 
 
-def test_a_wrong_or_partial_index_changes_nothing(tmp_path):
-    samples = arm_samples()
-    numbers = {"/joint_states": 1, "/wrench_raw": 2, "/tracker/tool_pose": 3}
-    content = b"".join(schema(k, WRENCH) + channel(k, k, name) for name, k in numbers.items())
-    places = []
-    for sample in samples:
-        places.append((sample.log_time_ns, len(content)))
-        content += message(numbers[sample.topic], sample.log_time_ns, sample.data)
-    body = chunk(content, T0, T0 + 10**9)
-    path = tmp_path / "index.mcap"
-    wrong = [
-        places[::2],  # half of them
-        [(time, at + 1) for time, at in places],  # beside them
-        places + [(0, 2**63), (0, 2**40)],  # outside
-        [(0, places[3][1])] * 5,  # one, again and again
-        [(0, at) for at in range(len(content))],  # everywhere
-    ]
-    for entries in wrong:
-        path.write_bytes(mcap(body, index(1, entries)))
-        assert read(path) == (samples, [])
-
-
 def test_overlap_beyond_the_limit_is_named(tmp_path, monkeypatch):
     first, second = arm_samples(40), arm_samples(40, seed=2)
     third = [Sample("/wrench_raw", T0 + 10**9, first[1].data)]
@@ -162,16 +139,6 @@ def test_a_topic_of_two_types_or_encodings_is_rejected_by_name(tmp_path):
         assert bag.topics["/w"].type_name == f"{WRENCH} and {JOINT_STATE}"
         with pytest.raises(BagError, match="/j is serialised as 'cdr and json', not cdr"):
             next(bag.blocks(["/j"]))
-
-
-@pytest.mark.parametrize("storage", [MCAP, SQLITE])
-def test_bag_without_messages(tmp_path, storage):
-    empty = write_rosbag2(tmp_path / "nothing", [], storage)
-    assert read(empty) == ([], [])
-    silent = write_rosbag2(tmp_path / "silent", [], storage, silent=["/wrench_raw"])
-    assert read(silent) == ([], [])
-    with open_bag(silent) as bag:
-        assert bag.topics["/wrench_raw"].count == 0
 
 
 # --- directories ------------------------------------------------------------------------------

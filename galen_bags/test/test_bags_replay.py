@@ -1,6 +1,5 @@
 """The timing of a replay, by a clock that the tests turn themselves."""
 
-import threading
 import time
 from collections.abc import Callable, Iterator
 
@@ -40,19 +39,6 @@ def test_a_stall_is_not_caught_up_but_said() -> None:
     assert timeline.advance(13.1) == pytest.approx(400 * MS, abs=2)  # 0.1 s of the 3 s
     assert timeline.advance(13.2) == pytest.approx(600 * MS, abs=2)
     assert timeline.lag_s == pytest.approx(2.9)
-
-
-def test_a_pause_stops_bag_time() -> None:
-    timeline = BagClock(1.0)
-    timeline.start(0, 10.0)
-    timeline.advance(10.05)
-    timeline.pause(True, 10.1)
-    timeline.pause(True, 11.0)
-    assert timeline.paused
-    assert timeline.advance(20.0) == pytest.approx(100 * MS, abs=2)
-    timeline.pause(False, 30.0)
-    assert timeline.advance(30.05) == pytest.approx(150 * MS, abs=2)
-    assert timeline.lag_s == 0.0
 
 
 def test_hold_goes_on_from_what_was_not_published() -> None:
@@ -104,25 +90,6 @@ def test_a_playlist_is_all_messages_in_order() -> None:
     blocks = [block([k, k + 1]) for k in range(0, 40, 2)] + [block([])]
     ahead = Ahead(lambda: iter(blocks))
     assert played(Playlist(ahead)) == [b"%d" % k for k in range(40)]
-    ahead.close()
-
-
-def test_what_is_not_read_yet_does_not_block() -> None:
-    gate = threading.Event()
-
-    def slow() -> Iterator[Messages]:
-        yield block([1])
-        gate.wait(10.0)
-        yield block([2])
-
-    ahead = Ahead(slow)
-    playlist = Playlist(ahead)
-    wait_for(lambda: playlist.peek_ns() == 1)
-    playlist.pop()
-    assert playlist.peek_ns() is None
-    assert not playlist.ended
-    gate.set()
-    assert played(playlist) == [b"2"]
     ahead.close()
 
 

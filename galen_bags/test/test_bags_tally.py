@@ -46,23 +46,6 @@ def test_arguments_for_ros_are_apart(text: str, own: str) -> None:
     assert own_arguments(text.split()) == own.split()
 
 
-def test_what_did_not_get_into_the_file_is_taken_back() -> None:
-    counts = TopicCounts("/w", "a/msg/B")
-    counts.add(5, 10)
-    counts.take_back()
-    assert (counts.messages, counts.size_bytes, counts.first_ns, counts.last_ns) == (
-        0,
-        0,
-        None,
-        None,
-    )
-    counts.add(6, 10)
-    counts.keep()
-    counts.add(7, 10)
-    counts.take_back()
-    assert (counts.messages, counts.size_bytes, counts.first_ns, counts.last_ns) == (1, 10, 6, 6)
-
-
 def install(share: Path, type_name: str, text: str) -> None:
     package, name = type_name.split("/")
     folder = share / package / "msg"

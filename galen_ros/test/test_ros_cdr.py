@@ -117,9 +117,3 @@ def test_what_is_not_cdr_is_unreadable():
         joint_state_layout(data[:12] + b"\xff\xff\xff\xff" + data[16:])
     with pytest.raises(UnreadableError, match="UTF-8"):
         stamped_layout(data.replace(b"ft_sensor", b"ft_\xff\xfe\xfa\xfb\xfc\xfd"), 6)
-
-
-def test_values_of_the_wrong_number_are_rejected():
-    template = joint_state_bytes(JOINT_NAMES, "")
-    with pytest.raises(Exception, match="pack"):
-        template.fill(0, [0.0] * 4, [0.0] * 5)

@@ -1,6 +1,5 @@
 """SIGINT at any time of an executable's life: while it imports, works, and ends."""
 
-import signal
 import subprocess
 import sys
 
@@ -108,9 +107,3 @@ def test_an_interrupt_at_the_end_changes_nothing(end):
 
 def test_a_node_interrupted_twice_ends_as_if_once(end):
     assert end("node") == (0, "destroyed\ncounted\n", "")
-
-
-def test_other_handlers_are_not_replaced_by_the_import():
-    import galen_ros.executable  # noqa: F401
-
-    assert "galen_ros" not in repr(signal.getsignal(signal.SIGINT))

@@ -2,15 +2,13 @@
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from galen_ros.messages import LATCHED
 from galen_ros.node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
-from galen_ros.node.spin import DomainLock, make_executor
+from galen_ros.node.spin import make_executor
 from galen_ros.node.testing import Harness
 from galen_ros.rclpy_workarounds import DeferredService
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 
@@ -68,16 +66,6 @@ def test_time_that_stands_still_is_told_with_a_value(harness):
     assert status.level == DiagnosticStatus.WARN and "no /clock came" in status.message
     values = {item.key: item.value for item in status.values}
     assert values == {"clock": "stands still", "on": "true"}
-
-
-def test_a_latched_message_reaches_a_late_subscriber(harness):
-    node = harness.add(lambda context: Node("talker", context=context))
-    node.create_publisher(String, "description", LATCHED).publish(String(data="arm"))
-    probe = harness.add(lambda context: Node("late", context=context))
-    received = []
-    probe.create_subscription(String, "description", received.append, LATCHED)
-    harness.wait_for(lambda: received, 10.0, "the latched message")
-    assert received[0].data == "arm"
 
 
 def test_a_deferred_answer_waits_for_its_event_and_blocks_nothing(harness):
@@ -146,10 +134,3 @@ def test_the_harness_names_what_was_missing_and_passes_errors_on():
         node.create_timer(0.01, lambda: {}["missing"])
         with pytest.raises(KeyError):
             world.wait_for(lambda: False, 10.0, "nothing")
-
-
-def test_domains_are_not_shared():
-    locks = [DomainLock() for _ in range(5)]
-    assert len({lock.domain_id for lock in locks}) == 5
-    for lock in locks:
-        lock.release()

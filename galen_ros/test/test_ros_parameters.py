@@ -53,13 +53,6 @@ def test_defaults_and_overrides(harness):
     harness.remove(node)
 
 
-def test_an_integer_is_a_float_where_a_float_is_asked(harness):
-    node, values = declared(harness, rate_hz=5, weights=[1, 2])
-    assert values.rate_hz == 5.0 and isinstance(values.rate_hz, float)
-    assert values.weights == (1.0, 2.0)
-    harness.remove(node)
-
-
 @pytest.mark.parametrize(
     ("overrides", "words"),
     [
