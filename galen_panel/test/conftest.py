@@ -2,7 +2,6 @@
 
 import pytest
 from browser import CHROMEDRIVER, CHROMIUM, Browser
-from selenium.common.exceptions import WebDriverException
 
 
 @pytest.fixture(scope="module")
@@ -50,19 +49,3 @@ def _looked_over(chromium):
     yield chromium
     assert chromium.foreign_requests() == []
     assert chromium.console_errors() == []
-
-
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_makereport(item, call):
-    """Where a test fails, say where the picture of each of its browsers lies."""
-    report = yield
-    if report.failed and report.when != "teardown":
-        values = {id(one): one for one in item.funcargs.values() if isinstance(one, Browser)}
-        for one in values.values():
-            path = one.folder / f"{item.name}_{report.when}.png"
-            try:
-                found = str(one.screenshot(path))
-            except WebDriverException as error:  # it must not hide why the test failed
-                found = f"none: {error.msg}"
-            report.sections.append(("screenshot", found))
-    return report

@@ -1,5 +1,7 @@
 """An operator's day in a real browser, on the simulated arm: all of it through the page."""
 
+import shutil
+from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
@@ -8,7 +10,6 @@ from browser_look import COMPENSATED, RAW, force_rms, rows
 from galen_model.files.calibration_file import calibration_path, read_calibration
 from galen_model.load.nominal_tools import TOOLS
 from panel_processes import PanelWorld
-from panel_tools import write_perfect_tool
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -18,6 +19,7 @@ from galen_msgs.srv import SetTool
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 
+BAGS = Path(__file__).resolve().parents[2] / "bags"
 # The suite, its simulation and two Chromiums share a machine with other tests.
 PATIENCE_S = 90.0
 NOISE_N = 0.15
@@ -29,7 +31,7 @@ def world(tmp_path_factory):
     """The pointer is on; there are files of it and of the retractor."""
     with PanelWorld(tmp_path_factory.mktemp("world")) as world:
         for name in TOOLS:
-            write_perfect_tool(world.tools_dir, name)
+            shutil.copy(BAGS / "tools" / f"{name}.json", world.tools_dir)
         world.start_driver(initial_tool="pointer")
         world.start_gravcomp()
         world.start_calibration()

@@ -299,18 +299,7 @@ def test_a_quick_check_says_what_to_do(answer, cause, title):
     async def story(user):
         assert title in user.text("outcome")
         assert "So it is." in user.text("outcome")
-
-    on_page(suite, story)
-
-
-def test_an_outcome_can_be_closed_and_the_next_one_is_shown():
-    suite = FakeSuite()
-    suite.put(behaviours={BehaviourKind.CHECK: check_outcome(0, 0)})
-
-    async def story(user):
         user.click("outcome-close")
         await user.until(lambda: not user.all("outcome"))
-        suite.put(behaviours={BehaviourKind.CHECK: replace(check_outcome(3, 8), number=9)})
-        await user.until(lambda: "Not decidable" in user.text("outcome"))
 
     on_page(suite, story)

@@ -149,18 +149,3 @@ def test_a_bug_is_told_and_frees_the_button():
 
     with pytest.raises(AssertionError, match="the panel failed to ask"):
         on_page(suite, story)
-
-
-def test_a_browser_may_go_while_its_page_waits():
-    suite = _Slow()
-
-    async def story(user):
-        user.click("tare")
-        await user.until(lambda: suite.calls)
-        user.go()
-        suite.free.set()
-        for _ in range(20):
-            await asyncio.sleep(0)
-        assert user.notices() == []
-
-    on_page(suite, story)

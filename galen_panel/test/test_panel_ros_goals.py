@@ -1,6 +1,5 @@
 """Behaviours over ROS: goals of the panel and of anybody, on a server that does as it is told."""
 
-import asyncio
 import math
 import threading
 
@@ -8,7 +7,6 @@ import pytest
 from galen_calibration_behavior.commands import CalibrationCode as ErrorCode
 from galen_calibration_behavior.commands import CalibrationState as Phase
 from galen_panel.ros import goals as ros_goals
-from galen_panel.ros.suite import RosSuite
 from galen_panel.snapshot import Asked, BehaviourKind, Goal
 from galen_ros.node.diagnostics import OK, DiagnosticsPublisher, Status
 from galen_ros.rclpy_workarounds import DeferredActionServer
@@ -253,30 +251,6 @@ def test_a_question_of_a_goal_that_was_taken_over_is_known_from_diagnostics(goal
     goals.seen("the question", lambda b: b.asked is Asked.ATTACH_TOOL)
     goals.server.person = False
     goals.seen("its answer", lambda b: b.asked is None)
-
-
-def test_another_panel_takes_over_a_goal_that_is_under_way(goals):
-    """As this panel does after it was killed and started again."""
-    goals.ask(goals.suite.start(calibrate("pointer")))
-    with RosSuite(["panel"]) as second:
-        goals.harness.wait_for(
-            lambda: BehaviourKind.CALIBRATE in second.state.behaviours,
-            10.0,
-            "the goal in another panel",
-        )
-        assert not second.state.behaviours[BehaviourKind.CALIBRATE].ours
-        goals.harness.wait_for(
-            lambda: "calibrate_tool" in second.state.available, 10.0, "the server"
-        )
-        assert asyncio.run(second.cancel(BehaviourKind.CALIBRATE)).ok
-        goals.seen("the other's cancelling", lambda b: b.canceling)
-        goals.do(lambda: goals.server.end(ErrorCode.CANCELED, "canceled"))
-        goals.harness.wait_for(
-            lambda: not second.state.behaviours[BehaviourKind.CALIBRATE].running,
-            10.0,
-            "its end there",
-        )
-    goals.seen("its end here", lambda b: b.outcome)
 
 
 def test_a_server_that_goes_away_takes_its_goal_with_it(goals):
