@@ -24,7 +24,7 @@ from galen_bags import BagError
 from galen_bags.formats.bag import Bag
 from galen_bags.formats.files import read_metadata
 from galen_bags.formats.raw_block import Messages
-from galen_bags.timing import Ahead, BagClock, Playlist, Settling, window
+from galen_bags.timing import BagClock, Playlist, window
 from galen_bags.topics import message_class, offer_again
 
 _CLOCK = "/clock"
@@ -127,7 +127,8 @@ class PlayerNode(Node):
         for name, reason in self.left_out.items():
             self.get_logger().warning(f"{name} is not played: {reason}")
         self._timeline = BagClock(options.rate)
-        self._settling = Settling(_QUIET_S)
+        self._subscribers = (0, time.monotonic())
+        """How many there are, and since when."""
         self._began_s = time.monotonic()
         self._playing_since_s: float | None = None
         self._played_s = 0.0
@@ -136,8 +137,7 @@ class PlayerNode(Node):
         self._position_ns: int | None = None
         self._first_ns: int | None = None
         self._last_ns: int | None = None
-        self._ahead = Ahead(self._read)
-        self._playlist = Playlist(self._ahead)
+        self._playlist = Playlist(self._read)
         self._clock_message = ClockMessage()
         self._next_clock_s = 0.0
         self._clock_publisher = (
@@ -208,9 +208,8 @@ class PlayerNode(Node):
         return window(self._bag.blocks([topic.name for topic in self._topics]), first_ns, last_ns)
 
     def _rewind(self) -> None:
-        self._ahead.close()
-        self._ahead = Ahead(self._read)
-        self._playlist = Playlist(self._ahead)
+        self._playlist.close()
+        self._playlist = Playlist(self._read)
 
     # --- time --------------------------------------------------------------------------------
 
@@ -229,7 +228,9 @@ class PlayerNode(Node):
     def _start_if_ready(self, now_s: float) -> None:
         options = self._options
         counts = [topic.publisher.get_subscription_count() for topic in self._topics]
-        settled = self._settling.settled(sum(counts), now_s)
+        if self._subscribers[0] != sum(counts):
+            self._subscribers = (sum(counts), now_s)
+        settled = now_s - self._subscribers[1] >= _QUIET_S
         lonely = any(
             topic.carries and not count for topic, count in zip(self._topics, counts, strict=True)
         )
@@ -346,5 +347,5 @@ class PlayerNode(Node):
 
     def destroy_node(self) -> None:
         """End the reading thread, and go."""
-        self._ahead.close()
+        self._playlist.close()
         super().destroy_node()

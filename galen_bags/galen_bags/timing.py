@@ -67,20 +67,6 @@ class BagClock:
             self._paused = paused
 
 
-class Settling:
-    """Wait until a number has stayed as it is for `quiet_s`."""
-
-    def __init__(self, quiet_s: float) -> None:
-        self._quiet_s = quiet_s
-        self._seen: tuple[int, float] | None = None
-
-    def settled(self, number: int, now_s: float) -> bool:
-        """Take the number as it is now."""
-        if self._seen is None or self._seen[0] != number:
-            self._seen = (number, now_s)
-        return now_s - self._seen[1] >= self._quiet_s
-
-
 def window(blocks: Iterable[Messages], first_ns: int, last_ns: int | None) -> Iterator[Messages]:
     """Return the blocks' messages with log times of `first_ns` to `last_ns`, both included."""
     for block in blocks:
@@ -98,25 +84,41 @@ def window(blocks: Iterable[Messages], first_ns: int, last_ns: int | None) -> It
             )
 
 
-class Ahead:
-    """Read blocks ahead in a thread, so that reading does not delay what is due.
+class Playlist:
+    """Messages one after the other, in order; a thread reads them ahead, so that none is late.
 
-    An error of reading is raised by `take`. `close` ends the thread.
+    An error of reading is raised by `peek_ns`. `close` ends the thread.
     """
 
     def __init__(self, make_blocks: Callable[[], Iterator[Messages]]) -> None:
         self._make_blocks = make_blocks
         self._ready: queue.Queue[Messages | BaseException | None] = queue.Queue(_BLOCKS_AHEAD)
         self._stop = threading.Event()
+        self._block: Messages | None = None
+        self._next = 0
+        self.ended = False
         self._thread = threading.Thread(target=self._read, name="bag reader", daemon=True)
         self._thread.start()
 
-    def take(self) -> Messages | None:
-        """Return the next block, None at the end. Raises queue.Empty if it is not read yet."""
-        item = self._ready.get_nowait()
-        if isinstance(item, BaseException):
-            raise item
-        return item
+    def peek_ns(self) -> int | None:
+        """Return the next message's log time; None if it is not read yet, or at the end."""
+        while not self.ended and (self._block is None or self._next >= len(self._block)):
+            try:
+                item = self._ready.get_nowait()
+            except queue.Empty:
+                return None
+            if isinstance(item, BaseException):
+                raise item
+            self._block, self._next = item, 0
+            self.ended = item is None
+        return None if self._block is None else int(self._block.log_time_ns[self._next])
+
+    def pop(self) -> tuple[int, int, bytes]:
+        """Return the next message: number of its topic, log time, bytes; only after `peek_ns`."""
+        block, index = self._block, self._next
+        assert block is not None
+        self._next += 1
+        return int(block.topic[index]), int(block.log_time_ns[index]), block.message(index)
 
     def close(self) -> None:
         """End the thread."""
@@ -140,37 +142,3 @@ class Ahead:
                 continue
             return True
         return False
-
-
-class Playlist:
-    """Messages one after the other, in order, as far as they have been read."""
-
-    def __init__(self, source: Ahead) -> None:
-        self._source = source
-        self._block: Messages | None = None
-        self._next = 0
-        self.ended = False
-
-    def peek_ns(self) -> int | None:
-        """Return the next message's log time; None if it is not read yet, or at the end."""
-        if not self._fill():
-            return None
-        assert self._block is not None
-        return int(self._block.log_time_ns[self._next])
-
-    def pop(self) -> tuple[int, int, bytes]:
-        """Return the next message: number of its topic, log time, bytes; only after `peek_ns`."""
-        block, index = self._block, self._next
-        assert block is not None
-        self._next += 1
-        return int(block.topic[index]), int(block.log_time_ns[index]), block.message(index)
-
-    def _fill(self) -> bool:
-        while not self.ended and (self._block is None or self._next >= len(self._block)):
-            try:
-                self._block = self._source.take()
-            except queue.Empty:
-                return False
-            self._next = 0
-            self.ended = self._block is None
-        return not self.ended

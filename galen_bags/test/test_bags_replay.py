@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 from galen_bags.formats.raw_block import Messages, pack
-from galen_bags.timing import Ahead, BagClock, Playlist, window
+from galen_bags.timing import BagClock, Playlist, window
 
 from galen_bags import BagError
 
@@ -88,9 +88,9 @@ def played(playlist: Playlist) -> list[bytes]:
 
 def test_a_playlist_is_all_messages_in_order() -> None:
     blocks = [block([k, k + 1]) for k in range(0, 40, 2)] + [block([])]
-    ahead = Ahead(lambda: iter(blocks))
-    assert played(Playlist(ahead)) == [b"%d" % k for k in range(40)]
-    ahead.close()
+    playlist = Playlist(lambda: iter(blocks))
+    assert played(playlist) == [b"%d" % k for k in range(40)]
+    playlist.close()
 
 
 def test_an_error_of_reading_comes_out() -> None:
@@ -98,10 +98,9 @@ def test_an_error_of_reading_comes_out() -> None:
         yield block([1])
         raise BagError("x.mcap: can't be read")
 
-    ahead = Ahead(broken)
-    playlist = Playlist(ahead)
+    playlist = Playlist(broken)
     wait_for(lambda: playlist.peek_ns() == 1)
     playlist.pop()
     with pytest.raises(BagError, match="can't be read"):
         played(playlist)
-    ahead.close()
+    playlist.close()
