@@ -102,7 +102,7 @@ class _Pushing:
         self._rejected: list[Rejected] = []
 
     def arrivals(self, most: int) -> Arrivals:
-        """The next samples, `most` or as many as there are."""
+        """Return the next samples, `most` or as many as there are."""
         is_wrench = self._is_wrench[self.at : self.at + most]
         w = int(np.count_nonzero(is_wrench))
         joints = slice(self._joint_row, self._joint_row + len(is_wrench) - w)
@@ -158,7 +158,7 @@ class _Pushing:
         self._sort(sink.push_wrench(int(wrenches.stamp_ns[row]), values, frame_id))
 
     def result(self) -> BlockResult:
-        """What came out of the whole block."""
+        """Return what came out of the whole block."""
         self._flush()
         arrays = (
             np.concatenate(parts) for parts in zip(*(p[:4] for p in self._parts), strict=True)

@@ -192,7 +192,7 @@ class CalibrationMonitor:
         return self.verdict.text
 
     def values(self) -> dict[str, object]:
-        """The verdict, for /diagnostics."""
+        """Return the verdict, for /diagnostics."""
         verdict = self.verdict
         return {
             "fit": verdict.fits,
@@ -298,7 +298,6 @@ class CalibrationMonitor:
     def _likeliest(
         self,
     ) -> Generator[None, None, tuple[Judgement | None, Verdict] | None]:
-        """The cause, if there is one: by the fewest of the newest segments that show it."""
         assert self._evidence is not None and self._tool is not None
         segments = self._judged
         if not segments:  # a tare in a segment's first moments
@@ -391,7 +390,6 @@ def _counted(judgement: Judgement, segments: list[RestSegment]) -> list[RestSegm
 
 
 def _verdict(judgement: Judgement, tool: CalibrationFile, limits: Limits, pulled: bool) -> Verdict:
-    """The verdict in words; pulled: a cable's pull may look like that, too."""
     cause, details = judgement.explanation, ""
     if cause is Cause.LOAD:
         cause, details = _load(judgement, tool)

@@ -253,7 +253,7 @@ class FitEvidence:
         return np.array([np.exp(-square / (2.0 * length**2)) for length in _LENGTHS])
 
     def judge(self, segments: Segments) -> Generator[None, None, Judgement]:
-        """The likeliest explanation of all the segments together; yields between pieces of work."""
+        """Find the likeliest explanation of all segments; yield between pieces of work."""
         design, variance = self.design(segments), self.variance(segments)
         kinds, count = len(EXPLANATIONS), len(segments)
         own = np.array([self._noise(k, variance) for k in range(kinds)])

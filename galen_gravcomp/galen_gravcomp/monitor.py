@@ -67,7 +67,6 @@ class Monitor(StreamMonitor):
         return State(Severity.OK, "compensating", f"compensating '{tool}'")
 
     def _warning(self, name: str, text: str) -> State:
-        """A warning, and what became of the file beside it, which may be the reason."""
         note = f"; {self._file_note}" if self._file_note else ""
         return State(Severity.WARN, name, f"compensating {text}{note}")
 

@@ -85,7 +85,7 @@ class ActiveToolError(GalenError):
 
 
 def error_code(response: Any, error: GalenError, otherwise: str) -> int:
-    """The code of an error in an answer; `otherwise`: the name of that of any other error."""
+    """Return an error's code in an answer; `otherwise`: the name of any other error's."""
     name = _CODES.get(type(error), otherwise)
     if isinstance(error, ActiveToolError):
         name = error.code
@@ -206,7 +206,7 @@ def _wrench(values: Array) -> Wrench:
 
 
 def read_active(node_name: str, timeout_s: float, ros_args: Sequence[str] = ()) -> dict[str, Any]:
-    """What a node has active, by the fields of its latched topic. Raises GalenError."""
+    """Read what a node has active, by the fields of its latched topic. Raises GalenError."""
     init_ros(list(ros_args))
     try:
         node = Node("tools")
@@ -232,7 +232,6 @@ def read_active(node_name: str, timeout_s: float, ros_args: Sequence[str] = ()) 
 
 
 def _plain(value: Any) -> Any:
-    """A message as numbers, lists and texts."""
     if hasattr(value, "get_fields_and_field_types"):
         return {name: _plain(getattr(value, name)) for name in value.get_fields_and_field_types()}
     return value if isinstance(value, (bool, int, float, str)) else np.asarray(value).tolist()
@@ -460,7 +459,6 @@ class ToolServices:
     def _compared(
         self, name: str, previous: bool, active_tool: StoredCalibration | None
     ) -> tuple[StoredCalibration, str]:
-        """A tool, or the calibration before it, and what to call it; may read a file."""
         if previous:
             tool = name or self._named(name, active_tool).tool.tool
             return self._store.previous(tool), before_name(tool)
@@ -468,7 +466,6 @@ class ToolServices:
         return stored, name or f"active {stored.tool.tool}"
 
     def _named(self, name: str, active_tool: StoredCalibration | None) -> StoredCalibration:
-        """A tool by its name; empty: the active one, as it was loaded."""
         if name:
             return self._store.read(name)
         if active_tool is None:

@@ -190,7 +190,7 @@ def _compare(arguments: argparse.Namespace, store: CalibrationStore, out: _Outpu
 
 
 def comparison_to_json(comparison: CalibrationComparison) -> dict[str, Any]:
-    """The comparison in SI; `std_dev` and `sigmas` are None where the files hold none."""
+    """Return the comparison in SI; `std_dev` and `sigmas` are None where the files hold none."""
     return {
         "a": comparison.a,
         "b": comparison.b,

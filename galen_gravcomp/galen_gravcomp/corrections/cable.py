@@ -64,7 +64,7 @@ class CablePull:
         return "inside" if self.weight == 1.0 else "edge"
 
     def values(self) -> dict[str, object]:
-        """What /diagnostics tells; units are in the names."""
+        """Return values for /diagnostics; units are in the names."""
         std = self.std
         return {
             "cable": self.where,
@@ -79,14 +79,14 @@ class CablePull:
         self._at, self.weight = (), math.nan
 
     def reading(self, joints: tuple[float, ...]) -> Array:
-        """The pull (6,) to subtract at joints (n,), m and rad; N and N.m along ft_sensor."""
+        """Return the pull (6,) to subtract at joints (n,), m and rad; N and N.m along ft_sensor."""
         if joints != self._at:
             self._at = joints
             self._reading = self._compute(joints)
         return self._reading
 
     def readings(self, joints: Array) -> Array:
-        """Pulls (n, 6) as `reading` gives them, for joints (k, n)."""
+        """Return pulls (n, 6) as `reading` gives them, for joints (k, n)."""
         if not len(joints):
             return np.zeros((0, 6))
         self.reading(tuple(joints[-1].tolist()))
@@ -121,7 +121,6 @@ class CablePull:
     def _along_sensor(
         self, joints: tuple[float, ...], vector: list[float]
     ) -> tuple[float, float, float]:
-        """A vector of the base's frame in the sensor's: R_base_sensor^T v."""
         angles = [joints[k] for k in self._arm.turning]
         x, y, z = vector
         return self._arm.components_in_sensor(

@@ -57,7 +57,7 @@ class LocalPolynomial:
     """Differentiates samples of k values in windows; remembers the weights of the last window."""
 
     def __init__(self, window_s: float, delay_s: float) -> None:
-        """The moment asked for lies `delay_s` before the end of a window of `window_s`."""
+        """Evaluate `delay_s` before the end of a window of `window_s`."""
         if not 0.0 <= delay_s < window_s:
             raise ValueError(f"need 0 <= delay < window: {delay_s = }, {window_s = }")
         self._half_s = half_s = window_s / 2.0

@@ -67,7 +67,7 @@ def report(result: BagEvaluation) -> Report:
 
 
 def to_json(result: BagEvaluation) -> dict[str, Any]:
-    """The evaluation as plain numbers, texts and lists; SI units, None where unknown."""
+    """Return the evaluation as plain numbers, texts and lists; SI units, None where unknown."""
     change = result.change
     return {
         "bag": str(result.path),
@@ -157,7 +157,6 @@ def print_overview(rows: list[dict[str, Any]], console: Console) -> None:
 
 
 def _short_names(bags: list[str]) -> tuple[list[str], str]:
-    """The bags' paths below the folder that they share, and that folder ("": they share none)."""
     folders = {os.path.dirname(bag) for bag in bags}  # noqa: PTH120 - as they were given
     try:
         folder = os.path.commonpath(folders)
@@ -244,7 +243,6 @@ def _stamps(content: Mapping[str, Any]) -> Table:
 
 
 def _findings(result: BagEvaluation) -> Iterator[str]:
-    """What is wrong with the recording itself, a sentence each."""
     for problem in result.problems:
         yield f"bag: {problem}"
     for reason, count in result.rejected.items():

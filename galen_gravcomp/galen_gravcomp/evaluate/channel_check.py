@@ -176,7 +176,7 @@ class _Runs:
     def no_chance(
         self, axis: int | None, held: int = 1, *, share: float = 1.0, never_changes: bool = False
     ) -> list[EqualReadings]:
-        """The runs that chance does not explain, of a sequence of runs usually `held` long.
+        """Return the runs that chance does not explain, of a sequence of runs usually `held` long.
 
         `share`: part of the readings that are in the sequence at all; `never_changes`: a run over
         all of it counts as well.

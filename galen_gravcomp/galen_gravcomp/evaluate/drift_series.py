@@ -232,7 +232,6 @@ def series_of(name: str, cells: Cells, joints: Cells, tool: CalibrationFile | No
 
 
 def _longest_pose(angles: Array) -> Array:
-    """The angles (k,) at which the arm was at rest longest."""
     known = angles[np.isfinite(angles[:, 0])]
     if not len(known):
         raise GalenError("the arm never stands still in it")

@@ -215,7 +215,7 @@ def _forecasts(series: Array, known: int, cell_s: float, horizon: int) -> dict[s
 def _waves(
     series: Array, level: Array, known: int, horizon: int, cell_s: float, harmonics: int
 ) -> Array:
-    """A line and so many harmonics of a day through all of the past, from the newest level on.
+    """Forecast by a line and so many harmonics of a day, from the newest level on.
 
     Fitted anew each hour, to all cells up to then.
     """
@@ -259,7 +259,6 @@ def _skill(
 
 
 def _filled(column: Array) -> Array:
-    """The series with its gaps held at the last value before them, as a forecaster would."""
     there = np.isfinite(column)
     last = np.maximum.accumulate(np.where(there, np.arange(len(column)), -1))
     first = int(np.argmax(there))

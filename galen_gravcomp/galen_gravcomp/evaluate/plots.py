@@ -40,7 +40,6 @@ def plot_evaluation(result: BagEvaluation, directory: Path, name: str) -> Path:
 
 
 def _course(axes: Axes, result: BagEvaluation, which: slice, factor: float, unit: str) -> None:
-    """The compensated wrench over time: means, and the band of single readings."""
     cells = result.cells
     axes.axhline(0.0, color="black", lw=0.6)
     axes.set_ylabel(f"residual, {unit}")
@@ -80,7 +79,6 @@ def _course(axes: Axes, result: BagEvaluation, which: slice, factor: float, unit
 
 
 def _poses(axes: Axes, result: BagEvaluation, which: slice, factor: float, label: str) -> None:
-    """The residual over the arm's first and last angle."""
     axes.set_xlabel(f"{GALEN.turning_names[0]}, rad")
     axes.set_ylabel(f"{GALEN.turning_names[-1]}, rad")
     axes.set_title(f"rest segments: {label}", fontsize=10)

@@ -308,7 +308,6 @@ def _judge_rest(
 
 
 def _reason(parts: ResidualParts, axis: int, total: float, ratio: float, limits: Limits) -> Cause:
-    """The largest part in `axis`, if the parts together explain enough of `total` there."""
     sizes = {
         cause: float(parts.rms[cause.word][axis])
         for cause in (Cause.OFFSET, Cause.DRIFT, Cause.LOAD)
@@ -356,7 +355,6 @@ def _in_words(
 
 
 def _load_in_words(parts: ResidualParts, tool: CalibrationFile) -> tuple[str, str]:
-    """The other load, and what to do about it."""
     more, std = parts.values["load"], parts.stds["load"]
     mass = tool.load.mass_kg + more[0]
     sure = _SURE * std[0]
@@ -376,7 +374,6 @@ def _load_in_words(parts: ResidualParts, tool: CalibrationFile) -> tuple[str, st
 
 
 def _unexplained(phases: StillPhases, parts: ResidualParts, limits: Limits) -> str:
-    """The rest in words where it is well above the noise and near a limit, else empty."""
     noise = np.sqrt(np.mean(phases.std_of_mean**2, axis=0))
     rest = np.where(parts.rms["rest"] > _ABOVE_NOISE * noise, parts.rms["rest"], 0.0)
     _, ratio, size = _worst(rest, limits)
@@ -384,6 +381,5 @@ def _unexplained(phases: StillPhases, parts: ResidualParts, limits: Limits) -> s
 
 
 def _worst(values: Array, limits: Limits) -> tuple[int, float, str]:
-    """The axis that is largest in units of its limit, how large, and that in words."""
     axis = int(np.argmax(values / limits.axes))
     return axis, limits.size(values), limits.worst(values)

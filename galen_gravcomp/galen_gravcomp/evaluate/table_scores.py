@@ -260,7 +260,6 @@ def _load_vector(table: OrientationTable) -> Array:
 def _jackknifed(
     mounted: MountedLoad, groups: tuple[str, ...], table: OrientationTable
 ) -> MountedLoad:
-    """The same with covariances by leaving out each block."""
 
     def values(known: OrientationTable) -> Array:
         found = identify_mounted(groups, known)
