@@ -48,7 +48,7 @@ from galen_bringup.processes import (
 
 matplotlib.use("Agg")  # the machine in the lab may have no display
 import matplotlib.pyplot as plt
-from galen_model.arm.galen import WRENCH_AXES
+from galen_model.arm.galen import GALEN, WRENCH_AXES
 from rich.table import Table
 
 _BEFORE, _AFTER = "#c44e52", "#1f6f8b"
@@ -267,8 +267,8 @@ def run_demo(options: argparse.Namespace, console: Console) -> DemoResult:
                     progress,
                     f"{tool}: poses not seen before",
                 )
-                roll, tilt = readings.joints[:, 3:].T
-                truth = nominal_reading(np.stack([roll, tilt], axis=-1), TOOLS[tool].load, ADAPTER)
+                angles = GALEN.angles(readings.joints)
+                truth = nominal_reading(angles, TOOLS[tool].load, ADAPTER)
                 found[tool] = ToolResult(
                     calibration, readings, readings.noise_at(truth), _sample_rmse(readings)
                 )

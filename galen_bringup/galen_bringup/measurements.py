@@ -76,8 +76,8 @@ def random_poses(count: int, rng: np.random.Generator) -> Array:
     left = list(range(1, count))
     order = [0]
     while left:  # always to the nearest: a good half as long as a random order, and plain
-        here = poses[order[-1], 3:]
-        nearest = min(left, key=lambda index: float(np.abs(poses[index, 3:] - here).max()))
+        ways = np.abs(GALEN.angles(poses) - GALEN.angles(poses[order[-1]])).max(axis=1)
+        nearest = min(left, key=ways.__getitem__)
         left.remove(nearest)
         order.append(nearest)
     return poses[order]
@@ -161,7 +161,7 @@ def _visit_one(
 
 
 TURNS = ((0.8, 0.0), (0.8, -0.6), (0.0, 0.6), (-0.8, 0.3), (0.0, 0.0))
-"""Roll and tilt (rad) that the arm turns to, one after the other."""
+"""Angles (rad) that the arm turns to, one after the other."""
 
 _HOLD_S = 2.0
 _MOVE_S = 2.0
@@ -232,9 +232,8 @@ def _follow(arm: ArmClient, source: str | None) -> tuple[Array, Array]:
     # The first point is home at the very start: what lies between now and then is no motion, so
     # that the runs don't differ by when the trajectory came in.
     targets, times = [HOME], [0.0]
-    for turn, (roll, tilt) in enumerate(TURNS):
-        target = HOME.copy()
-        target[3:] = roll, tilt
+    for turn, angles in enumerate(TURNS):
+        target = GALEN.with_angles(angles)
         start_s = turn * (_MOVE_S + _HOLD_S)
         targets += [target, target]
         times += [start_s + _MOVE_S, start_s + _MOVE_S + _HOLD_S]

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from galen_model.arm.galen import JOINT_NAMES, LIMITS, SENSOR_FRAME, TRACKER_FRAME
+from galen_model.arm.galen import SENSOR_FRAME, TRACKER_FRAME
 from galen_model.arm.urdf import galen_urdf
 from galen_model.errors import ToolNameError
 from galen_model.files.calibration_file import check_tool_name
@@ -168,7 +168,7 @@ class SimDriverNode(ManagedNode):
         self._pending_zeroing: tuple[Zeroing, Any, Respond] | None = None
         """A zeroing under way, and the response that its caller waits for."""
 
-        self._joint_state_bytes = joint_state_bytes(JOINT_NAMES, "")
+        self._joint_state_bytes = joint_state_bytes(config.arm.joint_names, "")
         self._wrench_bytes = wrench_bytes(SENSOR_FRAME)
         self._pose = PoseStamped()
         self._pose.header.frame_id = TRACKER_FRAME
@@ -248,7 +248,7 @@ class SimDriverNode(ManagedNode):
     def _publish_description(self) -> None:
         tool = self._config.tools.get(self._plant.tool)
         tip_m = np.zeros(3) if tool is None else tool.tip_m
-        text = galen_urdf(tip_m, self._config.arm, LIMITS, VELOCITY)
+        text = galen_urdf(tip_m, self._config.arm, max_velocity=VELOCITY)
         self._description.publish(String(data=text))
 
     # --- commands in ------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from galen_model.arm.galen import HOME, SENSOR
+from galen_model.arm.galen import GALEN, SENSOR
 from galen_model.files.calibration_file import check_tool_name
 from galen_model.load.model import Load
 from galen_model.load.nominal_tools import ADAPTER, TOOLS, ToolGeometry
@@ -46,7 +46,7 @@ class DriverParameters:
     seed: int = param(0, "seed of every noise; the same seed gives the same noise", minimum=0)
     noise: bool = param(True, "noise of sensor and tracker, and the sensor's quanta")
     start_joints: tuple[float, ...] = param(
-        HOME.tolist(), "joints at the start: delta x, y, z in m, roll, tilt in rad"
+        GALEN.home.tolist(), "joints at the start, in the arm's order, m and rad"
     )
     adapter_mass_kg: float = param(ADAPTER.mass_kg, "mass of the adapter, kg", minimum=0.0)
     adapter_com_m: tuple[float, ...] = param(
@@ -103,7 +103,7 @@ class DriverParameters:
         pushes = len(self.hand_pushes) // _NUMBERS_A_PUSH
         for name, length in (
             ("sensor_noise", 6),
-            ("start_joints", 5),
+            ("start_joints", len(GALEN.joints)),
             ("adapter_com_m", 3),
             ("tool_marker_m", 3),
             ("tool_marker_rotvec_rad", 3),
@@ -140,11 +140,10 @@ class DriverParameters:
         """Return the plant's configuration."""
         com = np.reshape(self.tool_com_m, (-1, 3))
         tip = np.reshape(self.tool_tip_m, (-1, 3))
-        x, y, z, roll, tilt = self.start_joints
         rows = np.reshape(self.hand_pushes, (-1, _NUMBERS_A_PUSH)).tolist()
         frames = self.hand_frames * len(rows) if len(self.hand_frames) == 1 else self.hand_frames
         return PlantConfig(
-            start_joints=(x, y, z, roll, tilt),
+            start_joints=self.start_joints,
             adapter=Load(self.adapter_mass_kg, np.array(self.adapter_com_m)),
             tools={
                 name: ToolGeometry(Load(self.tool_mass_kg[index], com[index]), tip[index])

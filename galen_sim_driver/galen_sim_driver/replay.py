@@ -48,7 +48,7 @@ class Scene:
     joint_s (nj,), joints (nj, 5) as reported, m and rad; wrench_s (nw,), reading (nw, 6), N and
     N.m in ft_sensor; touched (nw,): where a hand may be at the tool; tracker_s (nt,), empty without
     a tracker. start_s: the bag's first stamp since the recording's. tool, adapter, zero_pose_rad
-    (roll, tilt): as the tool's file says.
+    (k,): as the tool's file says.
     """
 
     bag: str
@@ -61,7 +61,7 @@ class Scene:
     tracker_s: Array
     tool: ToolGeometry
     adapter: Load
-    zero_pose_rad: tuple[float, float] = (0.0, 0.0)
+    zero_pose_rad: tuple[float, ...] = (0.0, 0.0)
     arm: Arm = GALEN
     compliances: dict[tuple[Any, ...], Array] = field(
         init=False, default_factory=dict, repr=False, compare=False

@@ -1,7 +1,7 @@
 """Limits hold at every step, references are followed, targets are reached exactly."""
 
 import numpy as np
-from galen_model.arm.galen import HOME, LIMITS
+from galen_model.arm.galen import GALEN, HOME
 from galen_sim_driver.plant import config
 from galen_sim_driver.plant.motion import LimitedMotion, stopping_distance
 
@@ -11,7 +11,7 @@ VELOCITY, ACCELERATION = np.array(config.VELOCITY), np.array(config.ACCELERATION
 
 def follow(targets, motion=None):
     """Step through targets (n, 5); return positions and velocities (n + 1, 5), start included."""
-    motion = motion or LimitedMotion(HOME, PERIOD_S)
+    motion = motion or LimitedMotion(GALEN, HOME, PERIOD_S)
     positions, velocities = [motion.positions.copy()], [motion.velocities.copy()]
     for target in targets:
         motion.step(target)
@@ -24,7 +24,7 @@ def assert_limits(positions, velocities):
     assert np.all(np.abs(velocities) <= VELOCITY * (1 + 1e-6))
     assert np.all(np.abs(np.diff(velocities, axis=0)) <= ACCELERATION * PERIOD_S * (1 + 1e-6))
     assert np.allclose(np.diff(positions, axis=0), velocities[1:] * PERIOD_S, atol=1e-12)
-    assert np.all(positions >= LIMITS.lower) and np.all(positions <= LIMITS.upper)
+    assert np.all(positions >= GALEN.lower) and np.all(positions <= GALEN.upper)
 
 
 def test_a_jump_is_reached_exactly_in_the_least_time_without_overshoot():
@@ -68,7 +68,7 @@ def test_any_reference_keeps_the_limits():
 
 
 def test_stopping_distance_agrees_with_braking():
-    motion = LimitedMotion(HOME, PERIOD_S)
+    motion = LimitedMotion(GALEN, HOME, PERIOD_S)
     follow([HOME + 0.1] * 100, motion)
     stop = np.array(motion.stopping_positions([0.0] * 5))
     before = np.array(motion.velocities)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from galen_model.arm.galen import HOME, JOINT_NAMES
+from galen_model.arm.galen import GALEN, HOME, JOINT_NAMES
 from galen_sim_driver.plant.config import PlantError
 from galen_sim_driver.plant.motion import (
     Reference,
@@ -17,7 +17,7 @@ POINT = TrajectoryPoint(1.0, [0.1, -0.2])
 
 
 def check(names, *points, start_ns=0):
-    check_trajectory(Trajectory(names, points, start_ns), NOW_NS)
+    check_trajectory(Trajectory(names, points, start_ns), GALEN, NOW_NS)
 
 
 def test_good_trajectories_pass():
@@ -65,7 +65,7 @@ START = TrajectoryPoint(0.0, HOME + [0, 0, 0, 0.2, -0.1], [0, 0, 0, 0.3, -0.2], 
 
 def sampled(names, points, start_ns=0):
     """Reference from START now: (times (n,), positions (n, 5)) on a fine grid to past its end."""
-    reference = Reference(Trajectory(names, points, start_ns), NOW_NS, START, HOME)
+    reference = Reference(Trajectory(names, points, start_ns), GALEN, NOW_NS, START, HOME)
     time_ns = np.arange(NOW_NS, reference.end_ns + 200_000_000, 1_000_000)
     return (time_ns - NOW_NS) * 1e-9, np.array([reference.sample(int(ns)) for ns in time_ns])
 
@@ -116,7 +116,7 @@ def test_rest_to_rest_peaks_are_what_behaviours_rely_on():
     """1.875 d / T and 5.774 d / T^2: the quintic from rest to rest."""
     rest = TrajectoryPoint(0.0, HOME, [0.0] * 5, [0.0] * 5)
     reference = Reference(
-        Trajectory(["roll"], [TrajectoryPoint(2.0, [1.0], [0.0], [0.0])]), 0, rest, HOME
+        Trajectory(["roll"], [TrajectoryPoint(2.0, [1.0], [0.0], [0.0])]), GALEN, 0, rest, HOME
     )
     time_s = np.linspace(0.0, 2.0, 4001)
     roll = np.array([reference.sample(round(t * 1e9))[3] for t in time_s])
@@ -147,6 +147,6 @@ def test_rates_that_would_overflow_are_rejected(kind):
     for time_s in (1e-9, 1.0, 2.0**31):
         points = [TrajectoryPoint(time_s, [0.2], **rates)]
         check(["roll"], *points)
-        reference = Reference(Trajectory(["roll"], points), NOW_NS, START, HOME)
+        reference = Reference(Trajectory(["roll"], points), GALEN, NOW_NS, START, HOME)
         for part in (0.0, 0.3, 0.9):
             assert np.all(np.isfinite(reference.sample(NOW_NS + round(part * time_s * 1e9))))

@@ -16,7 +16,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from galen_model.arm.galen import LIMITS
 from galen_model.arrays import Array
 from galen_model.load.nominal_tools import ToolGeometry
 
@@ -77,7 +76,7 @@ class Plant:
         # How much later than the sample the stamps are.
         self.wrench_delay_ns = self._effects.wrench_delay_ns
         self.tracker_delay_ns = self._effects.tracker_delay_ns
-        self._motion = LimitedMotion(config.start_joints, self._period_s)
+        self._motion = LimitedMotion(config.arm, config.start_joints, self._period_s)
         self._hold = list(config.start_joints)
         self._reference: Reference | None = None
 
@@ -102,10 +101,12 @@ class Plant:
         self._hand = Hand(config.hand)
         self.admittance = Admittance(config.admittance_timeout_s)
         self.admittance_on = False
+        self._lower, self._upper = config.arm.lower.tolist(), config.arm.upper.tolist()
+        self._still = [0.0] * len(config.arm.joints)
         self._offset_step = [0.5 * a * self._period_s for a in ACCELERATION]
         # What admittance adds to the reference, and how fast that changes.
-        self._offset = [0.0] * 5
-        self._offset_velocity = [0.0] * 5
+        self._offset = self._still
+        self._offset_velocity = self._still
 
         self._count = 0
         self.now_ns = config.start_ns
@@ -138,17 +139,17 @@ class Plant:
             self.stop()
             return
         motion_ns = self.now_ns + self._ahead_ns
-        check_trajectory(trajectory, motion_ns)
+        check_trajectory(trajectory, self._config.arm, motion_ns)
         motion = self._motion
         start = TrajectoryPoint(
             0.0,
             [q - offset for q, offset in zip(motion.positions, self._offset, strict=True)],
             [v - own for v, own in zip(motion.velocities, self._offset_velocity, strict=True)],
             # In admittance mode the acceleration is mostly that of the sensor's noise.
-            [0.0] * 5 if self.admittance_on else motion.accelerations,
+            self._still if self.admittance_on else motion.accelerations,
         )
         hold = self._stopping_reference()
-        self._reference = Reference(trajectory, motion_ns, start, hold)
+        self._reference = Reference(trajectory, self._config.arm, motion_ns, start, hold)
 
     def stop(self) -> None:
         """Brake at the acceleration limits and stand."""
@@ -188,7 +189,10 @@ class Plant:
             self._sensor.spoil_zeroing("admittance mode was switched on")
         else:
             # What the hand did stays: the reference moves to where the arm is.
-            self._offset, self._offset_velocity = [0.0] * 5, [0.0] * 5
+            self._offset, self._offset_velocity = (
+                self._still,
+                self._still,
+            )
             self.stop()
 
     def start_hand(self) -> None:
@@ -282,7 +286,10 @@ class Plant:
         velocities = [
             min(max(wanted, now - step), now + step)
             for wanted, now, step in zip(
-                velocities or [0.0] * 5, self._offset_velocity, self._offset_step, strict=True
+                velocities or self._still,
+                self._offset_velocity,
+                self._offset_step,
+                strict=True,
             )
         ]
         self._offset_velocity = velocities
@@ -291,7 +298,7 @@ class Plant:
             # Held inside the limits, so that the offset doesn't wind up against them.
             min(max(origin + offset + velocity * period_s, low), high)
             for origin, offset, velocity, low, high in zip(
-                reference, self._offset, velocities, LIMITS.lower, LIMITS.upper, strict=True
+                reference, self._offset, velocities, self._lower, self._upper, strict=True
             )
         ]
         self._offset = [a - b for a, b in zip(targets, reference, strict=True)]

@@ -9,14 +9,11 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from galen_model.arm.arm import Arm
 from galen_model.arm.galen import (
     ENCODER_QUANTUM,
     GALEN,
-    HOME,
-    JOINT_NAMES,
-    LIMITS,
     SENSOR,
-    ArmParameters,
     SensorParameters,
 )
 from galen_model.errors import GalenError
@@ -26,7 +23,7 @@ from galen_model.load.nominal_tools import ADAPTER, TOOLS, ToolGeometry
 from galen_sim_driver.effects.effect import ConfigError, Effect
 
 Vector3 = tuple[float, float, float]
-JointVector = tuple[float, float, float, float, float]
+JointVector = tuple[float, ...]
 
 VELOCITY: JointVector = (0.2, 0.2, 0.2, 1.5, 1.5)
 """Fastest joints, m/s and rad/s."""
@@ -129,9 +126,9 @@ class PlantConfig:
 
     rate_hz: float = 500.0
     start_ns: int = 1_000_000_000
-    start_joints: JointVector = tuple(HOME.tolist())
+    start_joints: JointVector = tuple(GALEN.home.tolist())
     encoder_quantum: JointVector = tuple(ENCODER_QUANTUM.tolist())
-    arm: ArmParameters = GALEN
+    arm: Arm = GALEN
     adapter: Load = ADAPTER
     tools: Mapping[str, ToolGeometry] = field(default_factory=lambda: dict(TOOLS))
     noise: bool = True
@@ -167,7 +164,7 @@ class PlantConfig:
             f"admittance timeout is {self.admittance_timeout_s} s, but must be positive",
         )
         for joint, value, low, high in zip(
-            JOINT_NAMES, self.start_joints, LIMITS.lower, LIMITS.upper, strict=True
+            self.arm.joint_names, self.start_joints, self.arm.lower, self.arm.upper, strict=True
         ):
             _require(
                 low <= value <= high, f"{joint} starts at {value}, outside {low:g} to {high:g}"

@@ -25,7 +25,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-from galen_model.arm.galen import JOINT_NAMES, LIMITS
+from galen_model.arm.arm import Arm
 
 from galen_sim_driver.plant.config import ACCELERATION, VELOCITY, PlantError
 
@@ -56,7 +56,7 @@ class Trajectory:
     start_ns: int = 0
 
 
-def check_trajectory(trajectory: Trajectory, now_ns: int) -> None:
+def check_trajectory(trajectory: Trajectory, arm: Arm, now_ns: int) -> None:
     """Raise PlantError, naming joint and value, unless the trajectory can be taken.
 
     The points must be inside the joint limits; what a polynomial does between them is held inside
@@ -64,8 +64,9 @@ def check_trajectory(trajectory: Trajectory, now_ns: int) -> None:
     """
     names = list(trajectory.joint_names)
     for name in names:
-        if name not in JOINT_NAMES:
-            raise PlantError(f"unknown joint '{name}'; the arm has {', '.join(JOINT_NAMES)}")
+        if name not in arm.joint_names:
+            known = ", ".join(arm.joint_names)
+            raise PlantError(f"unknown joint '{name}'; the arm has {known}")
         if names.count(name) > 1:
             raise PlantError(f"joint '{name}' is named twice")
     if not names:
@@ -83,8 +84,8 @@ def check_trajectory(trajectory: Trajectory, now_ns: int) -> None:
         previous_s = point.time_s
         _check_sizes(where, names, point)
         for name, value in zip(names, point.positions, strict=True):
-            joint = JOINT_NAMES.index(name)
-            low, high = LIMITS.lower[joint], LIMITS.upper[joint]
+            joint = arm.joint_names.index(name)
+            low, high = arm.lower[joint], arm.upper[joint]
             if not low <= value <= high:
                 raise PlantError(
                     f"{where}: {name} at {value:.6g} is outside its limits {low:g} to {high:g}"
@@ -113,13 +114,18 @@ class Reference:
     """Where the joints should be at any time: pieces of polynomials, then the last point."""
 
     def __init__(
-        self, trajectory: Trajectory, now_ns: int, start: TrajectoryPoint, hold: Sequence[float]
+        self,
+        trajectory: Trajectory,
+        arm: Arm,
+        now_ns: int,
+        start: TrajectoryPoint,
+        hold: Sequence[float],
     ) -> None:
-        """Plan from `start`, the arm's state at `now_ns`; joints not named go to `hold` (5,).
+        """Plan from `start`, the arm's state at `now_ns`; joints not named go to `hold` (n,).
 
         The trajectory must have passed `check_trajectory`.
         """
-        self._joints = [JOINT_NAMES.index(name) for name in trajectory.joint_names]
+        self._joints = [arm.joint_names.index(name) for name in trajectory.joint_names]
         self._hold = list(hold)
         self._origin_ns = now_ns
         delay_s = ((trajectory.start_ns or now_ns) - now_ns) * _NS
@@ -139,7 +145,7 @@ class Reference:
         self.end_ns = now_ns + round(times[-1] / _NS)
 
     def sample(self, now_ns: int) -> list[float]:
-        """Return the positions (5,) at a time not before the planning, m and rad."""
+        """Return the positions (n,) at a time not before the planning, m and rad."""
         result = self._hold.copy()
         if now_ns >= self.end_ns:
             for joint, value in zip(self._joints, self._last, strict=True):
@@ -217,7 +223,7 @@ def stopping_distance(velocity: float, velocity_step: float, period_s: float) ->
 class LimitedMotion:
     """Hold positions and velocities of the joints; `step` takes them one period on."""
 
-    def __init__(self, positions: Sequence[float], period_s: float) -> None:
+    def __init__(self, arm: Arm, positions: Sequence[float], period_s: float) -> None:
         self.positions = list(positions)
         self.velocities = [0.0] * len(self.positions)
         self.accelerations = [0.0] * len(self.positions)
@@ -233,12 +239,12 @@ class LimitedMotion:
                 velocity**2 / (2.0 * acceleration) + 2.0 * velocity * period_s,
             )
             for velocity, acceleration, low, high in zip(
-                VELOCITY, ACCELERATION, LIMITS.lower.tolist(), LIMITS.upper.tolist(), strict=True
+                VELOCITY, ACCELERATION, arm.lower.tolist(), arm.upper.tolist(), strict=True
             )
         ]
 
     def step(self, targets: Sequence[float]) -> None:
-        """Move one period towards `targets` (5,), where the joints should be at its end."""
+        """Move one period towards `targets` (n,), where the joints should be at its end."""
         period_s = self._period_s
         for index, (v_max, u, low, high, near) in enumerate(self._joints):
             position, velocity = self.positions[index], self.velocities[index]
@@ -283,7 +289,7 @@ class LimitedMotion:
     def stopping_positions(self, excepted: Sequence[float]) -> list[float]:
         """Return where the joints stop when they brake at their limits from now on.
 
-        `excepted` (5,) is a part of the velocity that isn't to be braked.
+        `excepted` (n,) is a part of the velocity that isn't to be braked.
         """
         return [
             position + stopping_distance(velocity - other, joint[1], self._period_s)
