@@ -94,12 +94,10 @@ def refine(
     weight = None if keep is None else keep.astype(float)
     sizes = [len(values) for values in start]  # of a limit that no push reaches, none
     cuts = np.cumsum(sizes)[:-1]
-    theta = np.concatenate(list(start)) if parts else np.zeros(0)
-    centre = np.concatenate([part.start for part in parts]) if parts else np.zeros(0)
-    typical = np.concatenate([part.typical for part in parts]) if parts else np.zeros(0)
+    theta = _joined(start)
+    centre, typical = _joined([p.start for p in parts]), _joined([p.typical for p in parts])
+    low, high = (_joined([part.limits()[k] for part in parts]) for k in (0, 1))
     scale = _scale(theta, centre, typical, sizes)
-    low = np.concatenate([part.limits()[0] for part in parts]) if parts else np.zeros(0)
-    high = np.concatenate([part.limits()[1] for part in parts]) if parts else np.zeros(0)
 
     def effects(numbers: Array) -> list[Effect]:
         split = np.split(numbers, cuts) if parts else []
@@ -182,6 +180,10 @@ def refine(
         cost,
         log_bayes,
     )
+
+
+def _joined(parts: Sequence[Array]) -> Array:
+    return np.concatenate([np.zeros(0), *parts])
 
 
 def _jacobian(

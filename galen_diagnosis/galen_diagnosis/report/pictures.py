@@ -47,8 +47,6 @@ _LEAST_TOP = 3.0
 _TICKS = (1, 2, 3, 5, 10, 20, 50, 100, 200, 500, 1000)
 _DARK = 0.55
 """Beyond this part of the colours' range, text is white."""
-_MOST_TEXTS = 14
-"""With more columns than this, numbers don't fit."""
 
 
 def write_pictures(diagnosis: Diagnosis, folder: Path) -> dict[str, Path]:
@@ -86,9 +84,12 @@ def gap_figure(diagnosis: Diagnosis) -> plt.Figure:
         _draw_cells(axis, view, one, channels, columns, norm)
         axis.set_title(f"{state}: {rms:.2f} × noise over all", fontsize=12)
     axes[0].set_yticks(range(len(channels)), channels)
-    _margins(figure, 0.95, 1.1, 0.95, 0.95, between_x=0.04)
-    _name_groups(axes[0], channels)
-    _colour_bar(figure, plt.cm.ScalarMappable(norm=norm, cmap=_MAP), top)
+    _margins(figure, 0.6, 0.3, 0.95, 0.95, between_x=0.04)
+    bar = figure.colorbar(plt.cm.ScalarMappable(norm=norm, cmap=_MAP), ax=axes, pad=0.02)
+    ticks = [tick for tick in _TICKS if tick <= top]
+    bar.set_ticks(ticks, labels=[str(tick) for tick in ticks])
+    bar.ax.minorticks_off()
+    bar.set_label("RMS residual over noise (1: noise alone)")
     figure.suptitle(_headline(diagnosis), fontsize=11)
     return figure
 
@@ -100,36 +101,6 @@ def _headline(diagnosis: Diagnosis) -> str:
     if answer.gap.get("closed_fraction"):
         text += f"; {share_words(answer.gap['closed_fraction'])} of the gap closed"
     return f"{text}\nframed: beyond noise and tolerances (p < 0.05, corrected for all cells)"
-
-
-def _name_groups(axis: plt.Axes, channels: Sequence[str]) -> None:
-    """Write the channels' groups left of their names."""
-    for group in dict.fromkeys(map(group_of, channels)):
-        rows = [row for row, name in enumerate(channels) if group_of(name) == group]
-        axis.annotate(
-            group.replace(" ", "\n"),
-            (0.0, float(np.mean(rows))),
-            xycoords=("axes fraction", "data"),
-            xytext=(-46, 0),
-            textcoords="offset points",
-            rotation=90,
-            ha="center",
-            va="center",
-            fontsize=9,
-            color="0.35",
-        )
-
-
-def _colour_bar(figure: plt.Figure, mappable: plt.cm.ScalarMappable, top: float) -> None:
-    """At the right rim, which `margins` left free."""
-    width, _ = figure.get_size_inches()
-    inside = figure.subplotpars
-    place = (1.0 - 0.95 / width, inside.bottom, 0.22 / width, inside.top - inside.bottom)
-    bar = figure.colorbar(mappable, cax=figure.add_axes(place))
-    ticks = [tick for tick in _TICKS if tick <= top]
-    bar.set_ticks(ticks, labels=[str(tick) for tick in ticks])
-    bar.ax.minorticks_off()
-    bar.set_label("RMS residual over noise (1: noise alone)")
 
 
 def _columns(view: View) -> list[tuple[str, str]]:
@@ -154,42 +125,26 @@ def _draw_cells(
     axis.set_facecolor("0.9")
     axis.imshow(np.clip(values, norm.vmin, None), norm=norm, cmap=_MAP, aspect="auto")
     for row, column in np.argwhere(np.isfinite(values)):
-        value = values[row, column]
+        value, bold = values[row, column], marked[row, column]
         dark = norm(max(value, 1.0)) > _DARK
-        if len(columns) <= _MOST_TEXTS:
-            axis.text(
-                column,
-                row,
-                f"{value:.1f}" if value < 99.5 else f"{value:.0f}",
-                ha="center",
-                va="center",
-                fontsize=8,
-                color="white" if dark else "black" if marked[row, column] else "0.55",
-                fontweight="bold" if marked[row, column] else "normal",
-            )
-        if marked[row, column]:
-            axis.add_patch(
-                Rectangle((column - 0.46, row - 0.44), 0.92, 0.88, fill=False, ec="black", lw=1.4)
-            )
-    axis.set_xticks(
-        range(len(columns)),
-        [f"{bag}\n{regime}" for bag, regime in columns],
-        fontsize=8,
-        rotation=0 if len(columns) <= 4 else 45,
-        ha="center" if len(columns) <= 4 else "right",
-        rotation_mode="anchor" if len(columns) > 4 else "default",
-    )
-    _separate(axis, channels, columns)
-
-
-def _separate(axis: plt.Axes, channels: Sequence[str], columns: Sequence[tuple[str, str]]) -> None:
-    """Lines between groups of channels and between bags."""
+        axis.text(
+            column,
+            row,
+            f"{value:.1f}" if value < 99.5 else f"{value:.0f}",
+            ha="center",
+            va="center",
+            fontsize=8,
+            color="white" if dark else "black" if bold else "0.55",
+            fontweight="bold" if bold else "normal",
+        )
+        if bold:
+            place = (column - 0.46, row - 0.44)
+            axis.add_patch(Rectangle(place, 0.92, 0.88, fill=False, ec="black", lw=1.4))
+    names = [f"{bag}\n{regime}" for bag, regime in columns]
+    axis.set_xticks(range(len(columns)), names, fontsize=8, rotation=45)
     for row in range(1, len(channels)):
         if group_of(channels[row]) != group_of(channels[row - 1]):
             axis.axhline(row - 0.5, color="white", lw=3)
-    for column in range(1, len(columns)):
-        if columns[column][0] != columns[column - 1][0]:
-            axis.axvline(column - 0.5, color="white", lw=3)
 
 
 # In time

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -81,7 +81,7 @@ def report(answer: Answer, pictures: Mapping[str, Path]) -> str:
         pictures={
             name: base64.b64encode(file.read_bytes()).decode() for name, file in pictures.items()
         },
-        causes=[Row(cells) for cells in _causes(answer)],
+        causes=[Row(cells) for cells in _causes(answer, _named)],
         closed=f"Closed fraction: {share_words(answer.gap.get('closed_fraction'))}",
         gap=[Row(cells) for cells in _gap(answer.gap)],
         ranking_note=RANKING_NOTE,
@@ -104,10 +104,14 @@ def report(answer: Answer, pictures: Mapping[str, Path]) -> str:
     )
 
 
-def _causes(answer: Answer) -> Iterator[tuple[str, ...]]:
+def _named(label: str) -> str:
+    return f"{label}: {title(label)}"
+
+
+def _causes(answer: Answer, name_of: Callable[[str], str]) -> Iterator[tuple[str, ...]]:
     """Return a line a parameter; the cause with its first."""
     for cause in answer.causes:
-        first = (f"{cause.label}: {title(cause.label)}", f"{cause.probability:.1%}")
+        first = (name_of(cause.label), f"{cause.probability:.1%}")
         last = (share_words(cause.gap_closed), ", ".join(cause.equivalent) or "-")
         for number, name in enumerate(list(cause.parameters) or [""]):
             words = parameter_words(cause.effect, name, cause.parameters) if name else "-"
@@ -175,16 +179,18 @@ def print_answer(answer: Answer, console: Console) -> None:
         console.print(f"  {escape(note)}")
     _print_table(console, ("cause", "probability", "parameter", "value (95 % interval)",
                            "alone closes", "not distinguishable from"),
-                 [(*cells[:5], _few(cells[5])) for cells in _causes(answer)])  # fmt: skip
+                 [(*cells[:5], _few(cells[5])) for cells in _causes(answer, str)])  # fmt: skip
     ranked = [(name, f"{p:.1%}") for name, p in answer.ranking[:_RANKED]]
     _print_table(console, ("cause alone or with others", "probability that it is there"), ranked)
     console.print(RANKING_NOTE)
     if "rms" in answer.gap.get("before", {}):
         gap = list(_gap(answer.gap))
         _print_table(console, ("on readings that no fit has seen", "before", "after", "floor"), gap)
+    of_recording = bool(answer.where.get("bags"))
     places = [
         row.cells
-        for _, rows in _where(answer.where)
+        for kind, rows in _where(answer.where)
+        if not (of_recording and kind == "pose")  # 60 of them are for the page
         for row in sorted(rows, key=lambda one: -(one.share or 0.0))[:_PLACES]
         if row.share and (row.marked or row.cells[3] == "-")
     ]
