@@ -5,7 +5,6 @@ import signal
 import socket
 import ssl
 import subprocess
-import sys
 import time
 import urllib.request
 from contextlib import closing
@@ -14,7 +13,7 @@ import pytest
 from fake_suite import FakeSuite
 from galen_panel.options import read_options
 from galen_panel.server import ServerError, serve
-from panel_processes import FAKE_PANEL, PanelWorld, free_port
+from panel_processes import PanelWorld, free_port
 
 TOKEN = "a-token-of-24-characters"
 
@@ -112,20 +111,15 @@ def test_a_token_that_is_easily_guessed_or_fits_no_link_is_rejected(token, capsy
     assert "GALEN_PANEL_TOKEN" in said and token not in said
 
 
-def test_rejects_a_port_that_is_taken_in_a_line():
+def test_rejects_a_port_that_is_taken(rejected):
     with closing(socket.socket()) as other:
         other.bind(("127.0.0.1", 0))
         other.listen()
         port = other.getsockname()[1]
-        ended = subprocess.run(
-            [sys.executable, FAKE_PANEL, "--port", str(port)],
-            capture_output=True, text=True, timeout=60, check=False,
-        )  # fmt: skip
-    assert ended.returncode == 1
-    assert ended.stderr.splitlines() == [
-        f"panel: can't listen at 127.0.0.1, port {port}: Address already in use;"
-        " choose another port by --port, in a launch by panel_port:="
-    ]
+        assert rejected("--port", str(port)) == (
+            f"can't listen at 127.0.0.1, port {port}: Address already in use;"
+            " choose another port by --port, in a launch by panel_port:="
+        )
 
 
 @pytest.mark.parametrize(

@@ -311,9 +311,9 @@ class GoalFollower:
     def _on_status(self, message: Any) -> None:
         for one in message.status_list:
             goal_id = bytes(one.goal_info.goal_id.uuid)
-            followed = self._followed
             if one.status in _ACTIVE:
                 self._begin(goal_id)
+            followed = self._followed
             if followed is not None and goal_id == followed.goal_id:
                 followed.over = one.status not in _ACTIVE
                 if one.status == GoalStatus.STATUS_CANCELING:
@@ -339,7 +339,7 @@ class GoalFollower:
             message=one_line(feedback.message),
             done=feedback.done,
             total=feedback.total,
-            rejected=(*behaviour.rejected, rejected) if rejected else behaviour.rejected,
+            rejected=(*behaviour.rejected[-99:], rejected) if rejected else behaviour.rejected,
             asked=asked,
         )
 
