@@ -32,7 +32,7 @@ splits:
 
 {MODELS}"""
 
-_OF_BAGS = ("tool", "tool_beside", "marker_offset", "from_rest", "plots")
+_OF_BAGS = ("tool", "tool_beside", "marker_offset", "plots")
 _OF_KINDS = ("kinds", "split")
 _OF_TABLES = (
     *("columns", "time_scale", "opposite", "torque_gear"),

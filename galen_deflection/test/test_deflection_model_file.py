@@ -14,6 +14,7 @@ from galen_deflection.errors import DeflectionError
 from galen_deflection.models.file import KINDS, read_model, write_model
 from galen_deflection.models.interface import FittedRange, fitted_on
 from galen_deflection.models.network import NetworkModel, RecurrentNet, Scaling, Weights
+from galen_model.arm.galen import GALEN
 from galen_model.errors import CalibrationFileError
 from galen_model.files.calibration_file import (
     CalibrationFile,
@@ -49,7 +50,7 @@ def network(samples, hidden=4):
         period_s=0.04,
         discrepancy=np.diag(noise**2 / 3.0),
         noise=noise,
-        fitted_range=FittedRange.of(samples.joints, samples.wrench, only_nearby=True),
+        fitted_range=FittedRange.of(samples.joints, samples.wrench, True, GALEN),
         fitted_on=fitted_on(samples),
         iterations=12,
         held_out_error=1.5,

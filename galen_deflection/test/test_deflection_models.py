@@ -292,7 +292,7 @@ def test_beyond_load_or_position_it_is_extrapolated(coarse):
 def test_a_range_of_positions_keeps_one_for_all_that_are_near_it():
     rng = np.random.default_rng(0)
     joints = np.repeat(POSITIONS, 50, axis=0) + rng.uniform(-1, 1, (200, 5)) * 1e-3
-    whole = FittedRange.of(joints, np.zeros((200, 6)), only_nearby=True)
+    whole = FittedRange.of(joints, np.zeros((200, 6)), True, GALEN)
     assert len(whole.positions) == 4
     outside = whole.left_by(joints + [[0.0, 0.028, 0.0, 0.0, 0.0]], np.zeros((200, 6)))
     assert not outside.any()

@@ -9,8 +9,7 @@ from galen_bags.arrays.arm_recording import read_arm
 from galen_bags.arrays.marker_tracks import RawTrack, marker_track
 from galen_bags.formats.bag import open_bag
 from galen_deflection.errors import DeflectionError, RegistrationError
-from galen_deflection.measurement import registration
-from galen_deflection.measurement.arm_positions import load_phases, noise_of_mean, wrench_noise
+from galen_deflection.measurement.arm_positions import no_contact_phase, noise_of_mean, wrench_noise
 from galen_deflection.measurement.arm_track import read_arm_track
 from galen_deflection.measurement.base_marker import base_stands
 from galen_deflection.measurement.measured_deflection import measure_deflection
@@ -139,25 +138,6 @@ def test_a_position_visited_again_has_its_number_and_another_visit(tmp_path):
     assert np.array_equal(samples.set_number, recording.visit)
 
 
-def test_deflection_from_rest_removes_a_wrong_geometry(tmp_path, monkeypatch):
-    """With a tilt's zero off by 3 mrad, and a check that lets it pass."""
-    zeros = np.array([0.0, 0.0, 0.0, 0.0, 0.003])
-    scene = Scene(joint_zeros=zeros)
-    recording = read_pushes(write(tmp_path / "bag", scene.topics()), TOOL)
-    monkeypatch.setattr(registration, "MAX_RESIDUAL_M", 1.0)
-    monkeypatch.setattr(registration, "MAX_RESIDUAL_RAD", 1.0)
-    truth = scene.deflection_at(seconds(recording))
-    rms = [
-        np.sqrt(np.mean((measured.samples.deflection - truth) ** 2, axis=0))
-        for measured in (
-            measure_deflection(recording),
-            measure_deflection(recording, from_rest=True),
-        )
-    ]
-    assert np.max(rms[0] / NOISE) > 5.0
-    assert np.max(rms[1] / NOISE) < 1.2
-
-
 def test_the_simulated_cells_pushes_agree_with_nominal():
     recording = read_pushes(ROOT / "bags" / "pushes", TOOL)
     assert recording.problems == ()
@@ -217,8 +197,6 @@ def test_a_gap_in_the_marker_is_cut(tmp_path):
     first, second = recording.segment[times < 1.9], recording.segment[(times > 2.2) & (times < 4)]
     assert set(first) == {0}
     assert set(second) == {1}
-    # The second begins in the first push.
-    assert said(recording, "1 of 3 segments begin under load (1)")
 
 
 def test_a_short_gap_is_no_cut(tmp_path):
@@ -449,7 +427,6 @@ def test_a_move_is_found_cut_and_registered_anew(tmp_path, what):
     assert len(measured.registrations) == 2
     off = measured.samples.deflection - SHORT.deflection_at(seconds(recording))
     assert np.sqrt(np.mean(off**2, axis=0)) == pytest.approx(NOISE, rel=0.15)
-    assert any(f"it was {what}" in text for text in measured.problems)
 
 
 def test_samples_after_a_move_that_nothing_registers_are_left_out(tmp_path):
@@ -546,7 +523,7 @@ def _wrenches(load, offset=0.0, seed=1):
 def _phases(load, offset=0.0):
     wrenches = _wrenches(load, offset)
     time_ns = START_NS + np.arange(len(load)) * NS // 100
-    return load_phases(time_ns, wrenches, noise_of_mean(time_ns, wrenches))
+    return no_contact_phase(time_ns, wrenches, noise_of_mean(time_ns, wrenches))
 
 
 def test_the_untouched_phase_ends_before_the_push():
@@ -555,8 +532,6 @@ def test_the_untouched_phase_ends_before_the_push():
     found = _phases(load)
     assert found.first is not None
     assert 2.5 < (found.first[1] - START_NS) * 1e-9 < 3.0
-    assert len(found.zero_load) == 1
-    assert found.zero_load[0][0] > START_NS + 4 * NS
 
 
 def test_an_offset_of_the_tools_file_is_no_load():
@@ -577,7 +552,9 @@ def test_a_recording_pushed_from_the_start_says_so(tmp_path):
     scene = Scene(positions=POSITIONS[:2], rest_s=0.0)
     recording = read_pushes(write(tmp_path / "bag", scene.topics()), TOOL)
     assert len(said(recording, "not untouched at first")) == 2
-    with pytest.raises(RegistrationError, match=r"stands untouched.*; position 0.*under load"):
+    with pytest.raises(
+        RegistrationError, match=r"stands untouched.*; position 0.*changes from the start"
+    ):
         measure_deflection(recording)
 
 
@@ -608,7 +585,7 @@ def test_a_filtered_sensors_noise_goes_on_and_is_no_load():
     noise = noise_of_mean(time_ns, wrenches)
     blocks = wrenches.reshape(60, 50, 6).mean(axis=1)
     assert noise == pytest.approx(blocks.std(axis=0), rel=0.6)
-    found = load_phases(time_ns, wrenches, noise)
+    found = no_contact_phase(time_ns, wrenches, noise)
     assert found.first == (time_ns[0], time_ns[-1])
 
 

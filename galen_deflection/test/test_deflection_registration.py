@@ -112,7 +112,7 @@ def test_a_second_method_finds_the_same_with_the_same_covariance(estimated):
     found = register(poses, TOOL.tip_m, estimated)
     marker = _stacked([rest.marker for rest in poses])
     tip = Transform(*GALEN.tip_pose(POSITIONS, TOOL.tip_m))
-    root = registration._Fit(poses, np.asarray(TOOL.tip_m), estimated).root
+    root = registration._Fit(poses, np.asarray(TOOL.tip_m), estimated, GALEN).root
 
     def errors(step):
         base = BASE_MARKER.displaced(step[:6] * SCALE)

@@ -9,6 +9,7 @@ import sys
 from typing import Any
 
 import numpy as np
+from galen_model.arm.galen import GALEN
 from galen_ros.command import EXIT_OK, finite, make_parser, own_arguments, whole
 from galen_ros.goal.client import (
     GoalClient,
@@ -20,7 +21,7 @@ from galen_ros.goal.client import (
 )
 
 from galen_deflection.collection.commands import ErrorCode, State
-from galen_deflection.collection.plan import JOINTS, MOST_SETS
+from galen_deflection.collection.plan import MOST_SETS
 from galen_msgs.action import CollectPushes
 
 _PUSHING = (State.PUSH, State.HOLD, State.RELEASE, State.REST)
@@ -108,8 +109,10 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     )
     add_client_options(parser)
     options = read_options(parser, arguments, name="recording's", tool="tool")
-    if len(options.positions) % JOINTS:
-        parser.error(f"--positions has {len(options.positions)} numbers, not {JOINTS} a position")
+    if len(options.positions) % len(GALEN.joints):
+        parser.error(
+            f"--positions has {len(options.positions)} numbers, not {len(GALEN.joints)} a position"
+        )
     return options
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import ClassVar, NamedTuple
 
 import numpy as np
+from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
@@ -19,9 +20,8 @@ from galen_model.registration import move_wrench
 from galen_ros.goal.parameters import MotionParameters
 from galen_ros.parameters import param
 
-from galen_deflection.measurement.arm_positions import SAME_POSITION
+from galen_deflection.measurement.arm_positions import same_position
 
-JOINTS = len(GALEN.joints)
 MOST_POSITIONS, MOST_LEVELS, MOST_SETS = 100, 20, 20
 
 _POSITIONS = (
@@ -156,12 +156,12 @@ class CollectionParameters(MotionParameters):
         return Path(getattr(self, name)).expanduser()
 
 
-def make_plan(settings: CollectionParameters, tip_m: Array) -> CollectionPlan:
+def make_plan(settings: CollectionParameters, tip_m: Array, arm: Arm = GALEN) -> CollectionPlan:
     """Check what is asked for; tip_m (3,) in ft_sensor.
 
     Raises OutOfReachError, and PlanError for anything else that can't be done.
     """
-    rows = _checked_positions(np.asarray(settings.positions, dtype=float).reshape(-1))
+    rows = _checked_positions(np.asarray(settings.positions, dtype=float).reshape(-1), arm)
     sets = settings.sets
     if not 1 <= sets <= MOST_SETS:
         raise PlanError(f"sets is {sets}: it must be 1 to {MOST_SETS}")
@@ -188,34 +188,40 @@ def make_plan(settings: CollectionParameters, tip_m: Array) -> CollectionPlan:
         raise PlanError("forces_n and torques_nm are both empty: there is nothing to push")
     for number, joints in enumerate(rows, start=1):
         for push in pushes:
-            _check_load(number, joints, push, tip_m, settings)
+            _check_load(number, joints, push, tip_m, settings, arm)
     return CollectionPlan(rows, tuple(pushes), sets)
 
 
-def _checked_positions(flat: Array) -> Array:
-    if not len(flat) or len(flat) % JOINTS or len(flat) > JOINTS * MOST_POSITIONS:
+def _checked_positions(flat: Array, arm: Arm) -> Array:
+    count = len(arm.joints)
+    if not len(flat) or len(flat) % count or len(flat) > count * MOST_POSITIONS:
         raise PlanError(
-            f"positions holds {len(flat)} numbers: {JOINTS} joints a position are wanted, of 1 to"
+            f"positions holds {len(flat)} numbers: {count} joints a position are wanted, of 1 to"
             f" {MOST_POSITIONS} positions"
         )
-    rows = flat.reshape(-1, JOINTS)
+    rows = flat.reshape(-1, count)
     for number, joints in enumerate(rows, start=1):
         # Between two such positions the carriages are well too: a carriage's coordinate is convex
         # in the platform's position, and in the joints' box it has room to spare downwards.
-        if fault := GALEN.limit_fault(joints):
+        if fault := arm.limit_fault(joints):
             raise OutOfReachError(f"position {number}: {fault}")
     for a, b in combinations(range(len(rows)), 2):
-        if np.all(np.abs(rows[a] - rows[b]) <= SAME_POSITION):
+        if np.all(np.abs(rows[a] - rows[b]) <= same_position(arm)):
             raise PlanError(f"positions {a + 1} and {b + 1} are the same place")
     return rows
 
 
 def _check_load(
-    number: int, joints: Array, push: WantedPush, tip_m: Array, settings: CollectionParameters
+    number: int,
+    joints: Array,
+    push: WantedPush,
+    tip_m: Array,
+    settings: CollectionParameters,
+    arm: Arm,
 ) -> None:
     """The sensor must bear it."""
-    rotation, tip = GALEN.tip_pose(joints, tip_m)
-    _, origin = GALEN.sensor_pose(joints)
+    rotation, tip = arm.tip_pose(joints, tip_m)
+    _, origin = arm.sensor_pose(joints)
     read = move_wrench(push.wrench, rotation.T, rotation.T @ (tip - origin))
     force, torque = float(np.linalg.norm(read[:3])), float(np.linalg.norm(read[3:]))
     if force > settings.max_force_n or torque > settings.max_torque_nm:

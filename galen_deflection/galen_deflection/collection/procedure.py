@@ -19,6 +19,7 @@ from enum import IntEnum
 from functools import partial
 
 import numpy as np
+from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_ros.goal.arrival import NS, StampClock
@@ -68,12 +69,17 @@ class CollectionProcedure(GoalProcedure):
     _state: State
 
     def __init__(
-        self, settings: CollectionParameters, plan: CollectionPlan, tip_m: Array, by_service: bool
+        self,
+        settings: CollectionParameters,
+        plan: CollectionPlan,
+        tip_m: Array,
+        by_service: bool,
+        arm: Arm = GALEN,
     ) -> None:
         """`tip_m` (3,) in ft_sensor; `by_service`: `push_tool` pushes, not a person."""
         super().__init__(settings, State.CALIBRATION)
         self._plan = plan
-        self._tip_m = tip_m
+        self._tip_m, self._arm = tip_m, arm
         self._by_service = by_service
         self._script = self._steps()
         self._set = self._position = 0  # from 1; 0 in a calibration set
@@ -82,7 +88,7 @@ class CollectionProcedure(GoalProcedure):
         self._no_contact_since_ns = 0
         self._calibrations: list[NoContact] = []
         self._here: NoContact | None = None
-        self._springs = Springs(tip_m)
+        self._springs = Springs(tip_m, arm)
         self._window: deque[tuple[int, Array]] = deque()
         self._watch: PushWatch | None = None
         self._push_number = 0
@@ -252,7 +258,7 @@ class CollectionProcedure(GoalProcedure):
 
     def _compare(self) -> None:
         first, second = self._calibrations
-        self._shift = collection_shift(first, second, self._tip_m)
+        self._shift = collection_shift(first, second, self._tip_m, self._arm)
         warning = shift_sentence(first, second, self._shift, self._settings)
         self._holds = not warning
         if warning:
@@ -405,8 +411,8 @@ class CollectionProcedure(GoalProcedure):
         if np.any(away):
             k = int(np.argmax(away))
             self._spoil(
-                f"{GALEN.joint_names[k]} moved by {off[k]:+.2g} {GALEN.units[k]}: the arm must"
-                " hold its position (no admittance mode)"
+                f"{self._arm.joint_names[k]} moved by {off[k]:+.2g} {self._arm.units[k]}:"
+                " the arm must hold its position (no admittance mode)"
             )
 
     def _check_marker(self, lost_s: float) -> None:

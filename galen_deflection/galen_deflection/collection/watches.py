@@ -1,7 +1,7 @@
 """What a collection watches: one push, and the tool without contact, its markers seen.
 
-Without contact by the rule that reading the recording goes by later (`arm_positions.load_phases`),
-and by a limit of its own: a hand that trembles makes its own noise.
+Without contact by the rule that reading the recording goes by later
+(`arm_positions.no_contact_phase`), and by a limit of its own: a trembling hand makes its own noise.
 
 Two calibration sets show whether the robot's position stayed constant, as in the 2019 report. The
 first set registers the tracker as the report does (eq. 13), W = F(q_1) M_1^-1 with F the tip by the
@@ -15,6 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.registration import Transform, mean_pose
@@ -22,7 +23,7 @@ from galen_ros.goal.arrival import NS
 
 from galen_deflection.collection.commands import State
 from galen_deflection.collection.plan import CollectionParameters, WantedPush
-from galen_deflection.measurement.arm_positions import SIGMAS, load_phases, noise_of_mean
+from galen_deflection.measurement.arm_positions import SIGMAS, no_contact_phase, noise_of_mean
 
 _LEAST_POSES = 10
 
@@ -128,7 +129,7 @@ class NoContactWatch:
         time_ns, wrenches = np.array(self._stamps), np.array(self._wrenches)
         noise = noise_of_mean(time_ns, wrenches)
         noise = np.minimum(noise, settings.untouched_tolerance / SIGMAS)
-        found = load_phases(time_ns, wrenches, noise)
+        found = no_contact_phase(time_ns, wrenches, noise)
         if found.first is None:
             return f"the tool is in contact: {found.why_none}"
         if found.first[1] < time_ns[-1]:
@@ -140,10 +141,13 @@ class NoContactWatch:
         return ""
 
 
-def collection_shift(first: NoContact, second: NoContact, tip_m: Array) -> Array:
+def collection_shift(first: NoContact, second: NoContact, tip_m: Array, arm: Arm = GALEN) -> Array:
     """Return how far the tip (6,) is from where it should be, in base_link, m and rad."""
-    registered = _tip(first, tip_m) @ _tool_in_base_marker(first).inverse()
-    return (registered @ _tool_in_base_marker(second)).displacement_from(_tip(second, tip_m))
+    registered = (
+        Transform(*arm.tip_pose(first.joints, tip_m)) @ _tool_in_base_marker(first).inverse()
+    )
+    tip = Transform(*arm.tip_pose(second.joints, tip_m))
+    return (registered @ _tool_in_base_marker(second)).displacement_from(tip)
 
 
 def shift_sentence(
@@ -162,10 +166,6 @@ def shift_sentence(
         f" moved; the tracker saw the base's marker move by {1e3 * marker_m:.3f} mm and"
         f" {1e3 * marker_rad:.3f} mrad"
     )
-
-
-def _tip(at: NoContact, tip_m: Array) -> Transform:
-    return Transform(*GALEN.tip_pose(at.joints, tip_m))
 
 
 def _tool_in_base_marker(at: NoContact) -> Transform:

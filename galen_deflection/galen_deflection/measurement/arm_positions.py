@@ -6,12 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 from galen_bags.arrays.timeline import Timeline
-from galen_model.arm.galen import GALEN, SENSOR
-from galen_model.arrays import Array, runs
+from galen_model.arm.arm import Arm
+from galen_model.arm.galen import SENSOR
+from galen_model.arrays import Array
 from galen_model.rest.segments import rest_by_joints
 
-SAME_POSITION = np.array([2e-3 if unit == "m" else 1e-2 for unit in GALEN.units])
-"""m and rad: joints this near are the same position."""
+_SAME_M, _SAME_RAD = 2e-3, 1e-2
 
 WINDOW_S = 0.1
 """Without contact, the wrench's mean over this window stays within SIGMAS of its noise."""
@@ -20,11 +20,15 @@ SIGMAS = 6.0
 
 _MIN_DURATION_S = 0.5  # of the phase before the first push
 _MARGIN_S = 0.1  # cut off before the wrench leaves the limits
-_ZERO_LOAD_SHARE = 0.01  # of the visit's largest wrench: between pushes, the limits are no less
 _MAX_OFFSET = np.array([0.5] * 3 + [0.05] * 3)  # that the tool's file may be wrong by, N and N.m
 _NS = 1e9
 _MAD_TO_STD = 1.4826
 _LOWER_QUARTILE = 0.3186  # of a normal deviate's absolute value
+
+
+def same_position(arm: Arm) -> Array:
+    """Return (j,), m and rad: joints this near are the same position."""
+    return np.array([_SAME_M if unit == "m" else _SAME_RAD for unit in arm.units])
 
 
 class Stay(NamedTuple):
@@ -36,18 +40,19 @@ class Stay(NamedTuple):
     visit: int
 
 
-def find_stays(line: Timeline, joints: Array) -> tuple[list[Stay], Array]:
+def find_stays(line: Timeline, joints: Array, arm: Arm) -> tuple[list[Stay], Array]:
     """Return where the arm stood, in order, and the joints (p, j) of each position.
 
     joints (n, j) belong to the line's samples. A stay at the place of the one before is the same
     visit.
     """
+    same = same_position(arm)
     positions: list[Array] = []
     visits: list[int] = []
     stays: list[Stay] = []
     for rows in rest_by_joints(line.time_ns, joints):
         here = np.nanmedian(joints[rows], axis=0)
-        near = [k for k, p in enumerate(positions) if np.all(np.abs(p - here) <= SAME_POSITION)]
+        near = [k for k, p in enumerate(positions) if np.all(np.abs(p - here) <= same)]
         if near:
             position = near[0]
         else:
@@ -61,16 +66,14 @@ def find_stays(line: Timeline, joints: Array) -> tuple[list[Stay], Array]:
     return stays, np.array(positions).reshape(-1, joints.shape[1])
 
 
-class LoadPhases(NamedTuple):
-    """Of one visit's wrenches.
+class NoContactPhase(NamedTuple):
+    """The phase without contact before the first push of one visit.
 
     first: from when to when there is no contact before its first push (time_ns), None if there
-    never is; zero_load: phases between pushes without contact, in which hysteresis may leave a
-    residual deflection. offset (6,): the wrench in `first`; why_none: a reason in words.
+    never is. offset (6,): the wrench in `first`; why_none: a reason in words.
     """
 
     first: tuple[int, int] | None
-    zero_load: list[tuple[int, int]]
     offset: Array
     why_none: str = ""
 
@@ -106,14 +109,14 @@ def noise_of_mean(time_ns: np.ndarray, wrenches: Array) -> Array:
     return np.maximum(white, np.quantile(steps, 0.25, axis=0) / _LOWER_QUARTILE / np.sqrt(6.0))
 
 
-def load_phases(time_ns: np.ndarray, wrenches: Array, noise: Array) -> LoadPhases:
-    """Find the phases without contact in one visit's wrenches (n, 6) at time_ns (n,).
+def no_contact_phase(time_ns: np.ndarray, wrenches: Array, noise: Array) -> NoContactPhase:
+    """Find the first phase without contact in one visit's wrenches (n, 6) at time_ns (n,).
 
     noise (6,): of a mean over the window (`noise_of_mean`).
     """
     nothing = np.full(6, np.nan)
     if len(time_ns) < 3:
-        return LoadPhases(None, [], nothing, "there are no wrenches")
+        return NoContactPhase(None, nothing, "there are no wrenches")
     mean = _moving_mean(wrenches, _window_samples(time_ns))
     limit = SIGMAS * noise
     start_rows = int(np.searchsorted(time_ns, time_ns[0] + round(_MIN_DURATION_S * _NS)))
@@ -123,32 +126,19 @@ def load_phases(time_ns: np.ndarray, wrenches: Array, noise: Array) -> LoadPhase
         away = np.any(np.abs(mean - offset) > limit, axis=1)
         stop = int(np.argmax(away)) if away.any() else len(time_ns)
         if stop < start_rows:
-            return LoadPhases(None, [], nothing, "the wrench changes from the start")
+            return NoContactPhase(None, nothing, "the wrench changes from the start")
     if np.any(np.abs(offset) > _MAX_OFFSET):
         force, torque = np.linalg.norm(offset[:3]), 1e3 * np.linalg.norm(offset[3:])
-        return LoadPhases(
-            None, [], nothing, f"it begins under load ({force:.2f} N, {torque:.0f} mN·m)"
+        return NoContactPhase(
+            None, nothing, f"it begins under load ({force:.2f} N, {torque:.0f} mN·m)"
         )
     margin_ns = round(_MARGIN_S * _NS)
     end_ns = int(time_ns[stop - 1]) - (margin_ns if stop < len(time_ns) else 0)
     if end_ns - time_ns[0] < _MIN_DURATION_S * _NS:
-        return LoadPhases(
-            None, [], nothing, f"it is without contact for less than {_MIN_DURATION_S:g} s"
+        return NoContactPhase(
+            None, nothing, f"it is without contact for less than {_MIN_DURATION_S:g} s"
         )
-    load = mean - offset
-    largest = [np.max(np.linalg.norm(load[:, k], axis=1)) for k in (slice(0, 3), slice(3, 6))]
-    limit = np.maximum(limit, _ZERO_LOAD_SHARE * np.repeat(largest, 3))
-    free = np.all(np.abs(load) <= limit, axis=1)
-    free[:stop] = False
-    phases = [
-        (int(time_ns[a]) + margin_ns // 2, int(time_ns[b - 1]) - margin_ns // 2)
-        for a, b in runs(free)
-    ]
-    return LoadPhases(
-        (int(time_ns[0]), end_ns),
-        [(a, b) for a, b in phases if b - a >= WINDOW_S * _NS / 2],
-        offset,
-    )
+    return NoContactPhase((int(time_ns[0]), end_ns), offset)
 
 
 def _window_samples(time_ns: np.ndarray) -> int:

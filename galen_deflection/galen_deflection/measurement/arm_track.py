@@ -9,6 +9,7 @@ import numpy as np
 from galen_bags.arrays.arm_recording import ArmReader, Samples, join_samples
 from galen_bags.arrays.timeline import Timeline, interpolated, lay_out, stamp_sentences
 from galen_bags.formats.bag import Bag
+from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN, SENSOR
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import CalibrationFile
@@ -17,7 +18,6 @@ from galen_ros.stream.samples import joint_jump
 
 from galen_deflection.errors import DeflectionError
 
-_JOINTS = len(GALEN.joints)
 # The live node's `max_joint_age_s`: joints are not interpolated over more.
 _MAX_JOINT_GAP_S = 0.05
 # Poses at which a cable's pull is computed at once.
@@ -46,6 +46,7 @@ def read_arm_track(
     tool: CalibrationFile,
     *,
     jump_s: float,
+    arm: Arm = GALEN,
     on_progress: Callable[[int, int | None], None] | None = None,
 ) -> ArmTrack:
     """Compensate a bag's wrenches as the live node does, at the joints of their stamps.
@@ -63,7 +64,7 @@ def read_arm_track(
             on_progress(done, total)
     if not blocks:
         raise DeflectionError(f"{bag.path}: it holds no message of the arm")
-    joints = join_samples([block.joints for block in blocks], 2 * _JOINTS)
+    joints = join_samples([block.joints for block in blocks], 2 * len(arm.joints))
     readings = join_samples([block.wrenches for block in blocks], 6)
     joint_line = lay_out(
         joints.stamp_ns, np.concatenate([block.joint_log_ns for block in blocks]), jump_s
@@ -71,15 +72,15 @@ def read_arm_track(
     wrench_line = lay_out(
         readings.stamp_ns, np.concatenate([block.wrench_log_ns for block in blocks]), jump_s
     )
-    positions = joints.values[joint_line.row, :_JOINTS]
+    positions = joints.values[joint_line.row, : len(arm.joints)]
     lacking = [
         name
-        for name, k in zip(GALEN.joint_names, positions.T, strict=True)
+        for name, k in zip(arm.joint_names, positions.T, strict=True)
         if not np.isfinite(k).any()
     ]
     if lacking:
         raise DeflectionError(f"{bag.path}: {reader.joint_states} lacks {', '.join(lacking)}")
-    wrench, rejected = _compensated(tool, joint_line, positions, wrench_line, readings)
+    wrench, rejected = _compensated(tool, arm, joint_line, positions, wrench_line, readings)
 
     firsts = [int(line.time_ns[0]) for line in (joint_line, wrench_line) if len(line)]
     start_ns = min(firsts, default=0)
@@ -109,6 +110,7 @@ def read_arm_track(
 
 def _compensated(
     tool: CalibrationFile,
+    arm: Arm,
     joint_line: Timeline,
     joints: Array,
     wrench_line: Timeline,
@@ -117,7 +119,7 @@ def _compensated(
     """Wrenches (n, 6) on their line, NaN where there is none, and the reasons as sentences."""
     raw = readings.values[wrench_line.row]
     cable = tool.cable
-    angles = GALEN.angles(joints)
+    angles = arm.angles(joints)
     needed = angles if cable is None else joints
     jumped = np.zeros(len(joints), dtype=bool)
     steps = np.abs(np.nan_to_num(np.diff(angles, axis=0)))
@@ -161,8 +163,8 @@ def _compensated(
                 for first in range(0, len(at), _CABLE_ROWS)
             ]
         )
-        at = GALEN.angles(at)
-    wrench[used] = Prediction(tool).compensate(reading, at)
+        at = arm.angles(at)
+    wrench[used] = Prediction(tool, arm).compensate(reading, at)
     return wrench, sentences
 
 

@@ -4,25 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 from galen_bags.many import calibration_of_bag
-from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.registration import Transform
 
 from galen_deflection.errors import DeflectionError, RegistrationError
-from galen_deflection.measurement.arm_positions import SAME_POSITION
+from galen_deflection.measurement.arm_positions import same_position
 from galen_deflection.measurement.push_recording import PushRecording, read_pushes
 from galen_deflection.measurement.registration import Registration, register, rest_poses
 from galen_deflection.measurement.samples import DeflectionSamples, joined
 
 _LEAST_NOISE = 1e-6
-_CLEARLY = 5.0
 _BIAS_DRIFTS = 1.5
 _MAD_TO_STD = 1.4826
 _FAR_OFF = 6.0 * _MAD_TO_STD
@@ -33,13 +30,12 @@ class ReadSettings:
     """How bags become samples.
 
     tool: the tool's file, or, where `tool_beside` is true, its name in each bag's directory or the
-    one above. marker_offset, from_rest: as in `measure_deflection`.
+    one above. marker_offset: as in `measure_deflection`.
     """
 
     tool: Path
     tool_beside: bool = False
     marker_offset: bool = False
-    from_rest: bool = False
 
     def tool_of(self, bag: Path) -> CalibrationFile:
         """Return the tool that a bag was recorded with; raises GalenError that names the file."""
@@ -71,30 +67,20 @@ def read_recording(
 ) -> Recording:
     """Read and register one bag; raises GalenError that names the bag or the tool's file."""
     pushes = read_pushes(path, settings.tool_of(path), on_progress)
-    recording = measure_deflection(
-        pushes, marker_offset=settings.marker_offset, from_rest=settings.from_rest
-    )
+    recording = measure_deflection(pushes, marker_offset=settings.marker_offset)
     if not len(recording.samples):
         raise DeflectionError(f"{path}: no deflection could be measured in it")
     return recording
 
 
-def measure_deflection(
-    recording: PushRecording, *, marker_offset: bool = False, from_rest: bool = False
-) -> Recording:
+def measure_deflection(recording: PushRecording, *, marker_offset: bool = False) -> Recording:
     """Register the recording and return its deflections; raises RegistrationError.
 
     The set numbers are the visits of each position. Where the base's marker moved, each of its
     stands is registered on its own, and the samples of those without a rest are left out.
-
-    Args:
-        recording: of pushes.
-        marker_offset: estimate the tool marker's own offset from the tip.
-        from_rest: count each visit's deflection from its own mean before the first push instead of
-            from the tip by the joints: it removes errors of the arm's geometry, and also a residual
-            deflection of earlier pushes; visits without such a phase are left out.
-
+    marker_offset: estimate the tool marker's own offset from the tip.
     """
+    arm, tip_m = recording.arm, np.asarray(recording.tool.tip_m, dtype=float)
     registrations: list[Registration | None] = []
     problems = list(recording.problems)
     deflection = np.full((len(recording), 6), np.nan)
@@ -111,17 +97,16 @@ def measure_deflection(
                 )
             continue
         try:
-            registration = register(rests, recording.tool.tip_m, marker_offset)
+            registration = register(rests, tip_m, marker_offset, arm)
         except RegistrationError as error:
             why = "" if rests else "".join(f"; {problem}" for problem in recording.problems)
             raise RegistrationError(f"{recording.path}: {error}{why}") from None
         registrations.append(registration)
         problems += registration.problems
-        tip = Transform(*GALEN.tip_pose(recording.joints[here], recording.tool.tip_m))
+        tip = Transform(*arm.tip_pose(recording.joints[here], tip_m))
         deflection[here] = registration.tip(recording.marker[here]).displacement_from(tip)
-    problems += _what_moved(recording, registrations)
     if all(registration is None for registration in registrations):
-        register([], recording.tool.tip_m)  # raises
+        register([], tip_m)  # raises
 
     noise, bias_drift = _noise(deflection, recording)
     if bias_drift > _BIAS_DRIFTS:
@@ -130,8 +115,6 @@ def measure_deflection(
             " times as much as from sample to sample: do its stamps lie off from the joints', or"
             " does it drift? Neither errors nor noise can be relied on then"
         )
-    if from_rest:
-        deflection = _from_rest(deflection, recording)
     rows = np.flatnonzero(np.isfinite(deflection).all(axis=1))
     samples = DeflectionSamples(
         stamp_ns=recording.stamp_ns[rows],
@@ -141,8 +124,9 @@ def measure_deflection(
         joints=recording.joints[rows],
         wrench=recording.wrench[rows],
         deflection=deflection[rows],
-        tip_m=np.asarray(recording.tool.tip_m, dtype=float),
+        tip_m=tip_m,
         noise=noise,
+        arm=arm,
     )
     return Recording(
         recording.path,
@@ -158,10 +142,11 @@ def measure_deflection(
 def join_recordings(recordings: Sequence[Recording]) -> DeflectionSamples:
     """Join recordings with one tool; the same place has the same number in all.
 
-    A position's number is that of the nearest one known so far whose joints are within
-    SAME_POSITION, else a new one. Raises GalenError for another tool.
+    A position's number is that of the nearest one known so far that is the same, else a new one.
+    Raises GalenError for another tool.
     """
     first = recordings[0]
+    same = same_position(first.samples.arm)
     known: list[Array] = []
     parts = []
     for recording in recordings:
@@ -169,7 +154,7 @@ def join_recordings(recordings: Sequence[Recording]) -> DeflectionSamples:
         number = np.empty(len(recording.positions), dtype=int)
         taken: set[int] = set()
         for own, joints in enumerate(recording.positions):
-            away = [float(np.max(np.abs(joints - k) / SAME_POSITION)) for k in known]
+            away = [float(np.max(np.abs(joints - k) / same)) for k in known]
             near = [k for k, far in enumerate(away) if far <= 1.0 and k not in taken]
             if near:
                 number[own] = min(near, key=away.__getitem__)
@@ -194,36 +179,6 @@ def _check_same_tool(first: Recording, other: Recording) -> None:
             f"the tool {first.tool.tool} has its tip at {one.tolist()} m in the file for"
             f" {first.path}, but at {another.tolist()} m in that for {other.path}"
         )
-
-
-def _what_moved(
-    recording: PushRecording, registrations: Sequence[Registration | None]
-) -> list[str]:
-    """Whether the base's marker moved on the arm, or the tracker before both, as sentences.
-
-    The marker's place in base_link stays if the tracker moved, the arm's place before the tracker
-    if the marker did.
-    """
-    known = [
-        (stand, registration.base_marker)
-        for stand, registration in zip(recording.stands, registrations, strict=True)
-        if registration is not None
-    ]
-    found = []
-    for (before, marker_before), (after, marker_after) in pairwise(known):
-        on_arm = marker_after.displacement_from(marker_before)
-        arm_seen = (after.pose @ marker_after.inverse()).displacement_from(
-            before.pose @ marker_before.inverse()
-        )
-        noise = np.maximum(before.std, _LEAST_NOISE)
-        marker, tracker = (float(np.linalg.norm(step / noise)) for step in (on_arm, arm_seen))
-        if max(marker, tracker) > _CLEARLY * min(marker, tracker):
-            at_s = (after.start_ns - recording.start_ns) * 1e-9
-            what = "the base's marker on the arm" if marker > tracker else "the tracker"
-            found.append(
-                f"by the registrations before and after, it was {what} that moved by {at_s:.2f} s"
-            )
-    return found
 
 
 def _visits(recording: PushRecording) -> Sequence[np.ndarray]:
@@ -265,19 +220,3 @@ def _noise(deflection: Array, recording: PushRecording) -> tuple[Array, float]:
     usual = _MAD_TO_STD * np.median(np.abs(step), axis=0)
     usual = np.maximum(np.where(usual > 0.0, usual, np.std(step, axis=0)), _LEAST_NOISE)
     return noise, float(np.max(np.std(scatter, axis=0) / usual))
-
-
-def _from_rest(deflection: Array, recording: PushRecording) -> Array:
-    """Deflections less their visit's mean before the first push, NaN where there is none."""
-    found = np.full_like(deflection, np.nan)
-    for rows in _visits(recording):
-        if not len(rows):
-            continue
-        first = rows[0]
-        visit = (
-            (recording.position == recording.position[first])
-            & (recording.visit == recording.visit[first])
-            & (recording.stand == recording.stand[first])
-        )
-        found[visit] = deflection[visit] - deflection[rows].mean(axis=0)
-    return found

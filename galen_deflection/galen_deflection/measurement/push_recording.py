@@ -17,16 +17,18 @@ import numpy as np
 from galen_bags.arrays.marker_tracks import MarkerTrack, RawTrack, marker_track, read_poses
 from galen_bags.arrays.timeline import Timeline, interpolated
 from galen_bags.formats.bag import open_bag
+from galen_model.arm.arm import Arm
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.registration import Transform
 
 from galen_deflection.errors import DeflectionError
 from galen_deflection.measurement.arm_positions import (
-    LoadPhases,
+    NoContactPhase,
     Stay,
     find_stays,
-    load_phases,
+    no_contact_phase,
     noise_of_mean,
 )
 from galen_deflection.measurement.arm_track import ArmTrack, read_arm_track
@@ -58,6 +60,7 @@ class PushRecording:
 
     path: Path
     tool: CalibrationFile
+    arm: Arm
     stamp_ns: np.ndarray
     segment: np.ndarray
     position: np.ndarray
@@ -81,6 +84,7 @@ def read_pushes(
     path: str | os.PathLike[str],
     tool: CalibrationFile,
     on_progress: Callable[[int, int | None], None] | None = None,
+    arm: Arm = GALEN,
 ) -> PushRecording:
     """Read a recording of pushes, made with `tool` on.
 
@@ -88,20 +92,21 @@ def read_pushes(
     read or lacks a topic, DeflectionError where no sample is left, with the reasons.
     """
     with open_bag(path) as bag:
-        arm = read_arm_track(bag, tool, jump_s=_JUMP_S, on_progress=on_progress)
+        track = read_arm_track(bag, tool, jump_s=_JUMP_S, arm=arm, on_progress=on_progress)
         tool_raw, base_raw = read_poses(bag, (TOOL_POSE, BASE_POSE))
-        problems = [*bag.problems, *arm.problems]
-    return _assembled(Path(path), tool, arm, tool_raw, base_raw, problems)
+        problems = [*bag.problems, *track.problems]
+    return _assembled(Path(path), tool, arm, track, (tool_raw, base_raw), problems)
 
 
 def _assembled(
     path: Path,
     tool: CalibrationFile,
+    robot: Arm,
     arm: ArmTrack,
-    tool_raw: RawTrack,
-    base_raw: RawTrack,
+    markers: tuple[RawTrack, RawTrack],
     problems: list[str],
 ) -> PushRecording:
+    tool_raw, base_raw = markers
     start_ns = arm.start_ns
     track = marker_track(tool_raw, _JUMP_S, start_ns, may_stand=False)
     base = marker_track(base_raw, _JUMP_S, start_ns, may_stand=True)
@@ -116,7 +121,7 @@ def _assembled(
         raise DeflectionError(_nothing(path, f"{base.topic} has {len(base)} poses", problems))
     stands, moved = base_stands(base, start_ns)
     problems += moved
-    stays, positions = find_stays(arm.joint_line, arm.joints)
+    stays, positions = find_stays(arm.joint_line, arm.joints, robot)
     if not stays:
         raise DeflectionError(_nothing(path, "the arm never stands still", problems))
 
@@ -150,13 +155,6 @@ def _assembled(
     stand = _stand_of(at_ns, stands)
     segment = _segments(track.line.kept(keep), stay, stand)
     untouched = _inside(at_ns, [p.first for p in phases if p.first is not None]) >= 0
-    zero_load = _inside(at_ns, [span for p in phases for span in p.zero_load]) >= 0
-    loaded = _loaded_segments(segment, untouched | zero_load)
-    if loaded:
-        problems.append(
-            f"{len(loaded)} of {int(segment.max()) + 1} segments begin under load"
-            f" ({', '.join(map(str, loaded[:10]))}): of the load before, nothing is known"
-        )
     base_in_tracker = Transform(
         np.array([s.pose.rotation for s in stands])[stand],
         np.array([s.pose.translation for s in stands])[stand],
@@ -164,6 +162,7 @@ def _assembled(
     return PushRecording(
         path=path,
         tool=tool,
+        arm=robot,
         stamp_ns=track.line.stamp_ns[keep],
         segment=segment,
         position=np.array([s.position for s in stays])[stay],
@@ -223,12 +222,9 @@ def _segments(line: Timeline, stay: np.ndarray, stand: np.ndarray) -> np.ndarray
     return np.concatenate([[0], np.cumsum(new)])
 
 
-def _loaded_segments(segment: np.ndarray, free: np.ndarray) -> list[int]:
-    first = np.concatenate([[True], np.diff(segment) > 0])
-    return segment[first & ~free].tolist()
-
-
-def _phases_of_visits(arm: ArmTrack, stays: list[Stay], problems: list[str]) -> list[LoadPhases]:
+def _phases_of_visits(
+    arm: ArmTrack, stays: list[Stay], problems: list[str]
+) -> list[NoContactPhase]:
     """Of each visit; one with contact at its start is a problem."""
     visits: list[list[Stay]] = []
     for stay in stays:
@@ -241,7 +237,7 @@ def _phases_of_visits(arm: ArmTrack, stays: list[Stay], problems: list[str]) -> 
     noise = noise_of_mean(line.time_ns, arm.wrenches)
     for visit in visits:
         inside = (line.time_ns >= visit[0].start_ns) & (line.time_ns <= visit[-1].end_ns)
-        found = load_phases(line.time_ns[inside], arm.wrenches[inside], noise)
+        found = no_contact_phase(line.time_ns[inside], arm.wrenches[inside], noise)
         if found.first is None:
             at_s = (visit[0].start_ns - arm.start_ns) / _NS
             problems.append(

@@ -24,7 +24,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from galen_model.arm.galen import ENCODER_QUANTUM, GALEN
+from galen_model.arm.arm import Arm
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_isf
 from galen_model.registration import (
@@ -48,6 +49,7 @@ _ITERATIONS = 30
 _FALSE_ALARMS_A_REGISTRATION = 1e-3
 # Directions of a position's residual of which the fit takes up nearly all don't check anything.
 _LEAST_REDUNDANCY = 1e-3
+_QUANTUM_M, _QUANTUM_RAD = 5e-6, 5e-5  # of the encoders
 _BLOCK = 10
 _LEAST_SAMPLES = 10
 _NOT_IDENTIFIABLE = "the tool marker's own offset is not identifiable from these positions"
@@ -157,7 +159,7 @@ def _correlation(parts: Sequence[Array]) -> float:
 
 
 def register(
-    rests: Sequence[RestPose], tip_m: Array, estimate_offset: bool = False
+    rests: Sequence[RestPose], tip_m: Array, estimate_offset: bool = False, arm: Arm = GALEN
 ) -> Registration:
     """Register the tracker on rests of the arm; tip_m (3,) in ft_sensor.
 
@@ -169,7 +171,7 @@ def register(
             "nowhere in the recording the arm stands untouched before its first push: leave it"
             " alone for a second or more at each position, and give the file of the tool that is on"
         )
-    fit = _Fit(rests, np.asarray(tip_m, dtype=float), estimate_offset)
+    fit = _Fit(rests, np.asarray(tip_m, dtype=float), estimate_offset, arm)
     if estimate_offset:
         fit.require_turns()
     fit.solve()
@@ -180,7 +182,7 @@ def register(
     if failed:
         worst = max(failed, key=lambda check: check.distance)
         more = f"; so are {len(failed) - 1} more of {len(checks)}" if len(failed) > 1 else ""
-        hint = "" if estimate_offset else _hint(rests, tip_m)
+        hint = "" if estimate_offset else _hint(rests, tip_m, arm)
         raise RegistrationError(f"the registration does not hold: {worst}{more}{hint}")
     problems = [
         f"{check}: accepted, but more than noise"
@@ -192,10 +194,10 @@ def register(
     return Registration(fit.base, fit.tool_marker, fit.covariance(), checks, tuple(problems))
 
 
-def _hint(rests: Sequence[RestPose], tip_m: Array) -> str:
+def _hint(rests: Sequence[RestPose], tip_m: Array, arm: Arm) -> str:
     """Whether an offset of the tool's marker would explain it."""
     try:
-        other = register(rests, tip_m, estimate_offset=True)
+        other = register(rests, tip_m, True, arm)
     except RegistrationError:
         return ""
     off = other.tool_marker.displacement_from(IDENTITY)
@@ -214,14 +216,16 @@ class _Fit:
     exp(a) R_W, t_Z + d, R_Z exp(c).
     """
 
-    def __init__(self, rests: Sequence[RestPose], tip_m: Array, estimate_offset: bool) -> None:
+    def __init__(
+        self, rests: Sequence[RestPose], tip_m: Array, estimate_offset: bool, arm: Arm
+    ) -> None:
         self._rests = rests
         joints = np.array([rest.joints for rest in rests])
         self._marker = Transform(
             np.array([rest.marker.rotation for rest in rests]),
             np.array([rest.marker.translation for rest in rests]),
         )
-        self._tip = Transform(*GALEN.tip_pose(joints, tip_m))
+        self._tip = Transform(*arm.tip_pose(joints, tip_m))
         self._turns = turns(self._tip.rotation)
         if estimate_offset and len(rests) >= 3:
             self.base, offset = solve_base_and_offset(self._marker, self._tip)
@@ -240,8 +244,9 @@ class _Fit:
             )
         )
         # An encoder's rounding stays while the arm stands.
-        spread = ENCODER_QUANTUM**2 / 12.0
-        jacobians = GALEN.tip_jacobian(joints, tip_m)
+        quantum = np.array([_QUANTUM_M if unit == "m" else _QUANTUM_RAD for unit in arm.units])
+        spread = quantum**2 / 12.0
+        jacobians = arm.tip_jacobian(joints, tip_m)
         to_tip = lever @ turn
         covariance = to_tip @ tracker @ np.swapaxes(to_tip, 1, 2)
         covariance += (jacobians * spread) @ np.swapaxes(jacobians, 1, 2)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from galen_model.arm.arm import Arm
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array, runs
 
 from galen_deflection.errors import FitError
@@ -49,6 +51,7 @@ class DeflectionSamples:
     deflection: Array
     tip_m: Array
     noise: Array
+    arm: Arm = GALEN
 
     def __len__(self) -> int:
         """Number of samples."""
@@ -57,7 +60,7 @@ class DeflectionSamples:
     def rows(self, rows: np.ndarray | slice) -> DeflectionSamples:
         """Return some of the samples; whole segments, if a model with memory gets them."""
         picked = {name: getattr(self, name)[rows] for name in _BY_SAMPLE}
-        return DeflectionSamples(**picked, tip_m=self.tip_m, noise=self.noise)
+        return replace(self, **picked)
 
     def segments(self) -> Iterator[slice]:
         """Yield the segments' rows, in their order."""
@@ -86,7 +89,7 @@ def check_to_fit(samples: DeflectionSamples, used: np.ndarray) -> None:
         )
 
 
-_WHOLE = ("tip_m", "noise")
+_WHOLE = ("tip_m", "noise", "arm")
 _BY_SAMPLE = tuple(f.name for f in fields(DeflectionSamples) if f.name not in _WHOLE)
 
 
@@ -109,11 +112,8 @@ def joined(parts: Sequence[DeflectionSamples]) -> DeflectionSamples:
             first += int(numbers.max(initial=-1)) + 1
     weights = np.array([len(part) for part in parts], dtype=float)
     noise = np.sqrt(np.average([part.noise**2 for part in parts], axis=0, weights=weights))
-    return DeflectionSamples(
-        **{name: np.concatenate(values) for name, values in columns.items()},
-        tip_m=parts[0].tip_m,
-        noise=noise,
-    )
+    whole: dict[str, Any] = {name: np.concatenate(values) for name, values in columns.items()}
+    return replace(parts[0], **whole, noise=noise)
 
 
 class Push(NamedTuple):

@@ -22,6 +22,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from galen_model.arm.arm import Arm
+from galen_model.arm.galen import GALEN
 from galen_model.files.atomic_file import write_whole
 from galen_model.files.json_fields import (
     DEFLECTION_MODEL,
@@ -55,7 +57,7 @@ class ModelKind(NamedTuple):
 
     summary: str
     fit: Callable[[DeflectionSamples, FitSettings | None], DeflectionModel]
-    read: Callable[[Mapping[str, Any]], DeflectionModel]
+    read: Callable[[Mapping[str, Any], Arm], DeflectionModel]
 
 
 KINDS: dict[str, ModelKind] = {
@@ -76,11 +78,12 @@ KINDS: dict[str, ModelKind] = {
 """Kinds in the order in which they are listed."""
 
 
-def read_model(path: str | os.PathLike[str]) -> DeflectionModel:
+def read_model(path: str | os.PathLike[str], arm: Arm = GALEN) -> DeflectionModel:
     """Read and check a model's file; raises DeflectionError that names the file and the field."""
     path = Path(path)
     try:
-        return _model_of(parse_json(read_limited(path, _MAX_FILE_BYTES, "a model's file")))
+        content = parse_json(read_limited(path, _MAX_FILE_BYTES, "a model's file"))
+        return _model_of(content, arm)
     except OSError as error:
         raise DeflectionError(f"{path}: can't be read: {error.strerror}") from error
     except (FieldError, RecursionError) as error:
@@ -97,7 +100,7 @@ def write_model(path: str | os.PathLike[str], model: DeflectionModel) -> None:
         content = {"schema_version": SCHEMA_VERSION, **model.to_json()}
         content["sha256"] = _checksum(content)
         raw = json.dumps(content, indent=1, allow_nan=False) + "\n"
-        _model_of(parse_json(raw))  # what can't be read must not be written
+        _model_of(parse_json(raw), model.fitted_range.arm)  # what can't be read must not be written
     except (ValueError, FieldError) as error:
         raise DeflectionError(f"{path}: not written: {error}") from error
     try:
@@ -106,7 +109,7 @@ def write_model(path: str | os.PathLike[str], model: DeflectionModel) -> None:
         raise DeflectionError(f"{path}: can't be written: {error.strerror}") from error
 
 
-def _model_of(content: Any) -> DeflectionModel:
+def _model_of(content: Any, arm: Arm) -> DeflectionModel:
     whole = mapping(content, "the file")
     check_kind(whole, DEFLECTION_MODEL)
     check_version(whole, SCHEMA_VERSION)
@@ -116,7 +119,7 @@ def _model_of(content: Any) -> DeflectionModel:
     found = text(get(whole, "sha256"), "sha256")
     if found != _checksum(whole):
         raise FieldError("sha256 is not that of the content: it was changed or cut")
-    return KINDS[name].read(whole)
+    return KINDS[name].read(whole, arm)
 
 
 def _checksum(content: Mapping[str, Any]) -> str:

@@ -8,6 +8,8 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
+from galen_model.arm.arm import Arm
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.files.json_fields import (
     FieldError,
@@ -27,11 +29,16 @@ MARGIN = 0.1
 SMALLEST_MARGIN = np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])
 """N and N.m: what a resting hand or the sensor's bias drift loads the tip with."""
 
-NEARBY = np.array([0.03, 0.03, 0.03, 0.15, 0.15])
-"""m and rad: how far a position may be from one that was fitted on and still count as it.
+NEARBY_M, NEARBY_RAD = 0.03, 0.15
+"""How far a joint may be from one that was fitted on and still count as it.
 
-At the tip, 0.8 m from the roll axis, the nominal compliance changes by some percent over it.
+At the Galen's tip the nominal compliance changes by some percent over it.
 """
+
+
+def nearby(arm: Arm) -> Array:
+    """Return (j,), m and rad, by joint."""
+    return np.array([NEARBY_M if unit == "m" else NEARBY_RAD for unit in arm.units])
 
 
 class Predicted(NamedTuple):
@@ -89,8 +96,8 @@ class FitSettings:
 class FittedRange:
     """The loads and positions that a model was fitted on; beyond them it extrapolates.
 
-    Wrenches at the tip in base_link, lowest and highest (6,), N and N.m; joints (5,), m and rad:
-    between them a model that knows the arm's geometry interpolates. `positions` (k, 5) or None: a
+    Wrenches at the tip in base_link, lowest and highest (6,), N and N.m; joints (j,), m and rad:
+    between them a model that knows the arm's geometry interpolates. `positions` (k, j) or None: a
     model without that knowledge holds near these only.
     """
 
@@ -99,33 +106,35 @@ class FittedRange:
     joints_low: Array
     joints_high: Array
     positions: Array | None = None
+    arm: Arm = GALEN
 
     @classmethod
-    def of(cls, joints: Array, wrench: Array, only_nearby: bool) -> FittedRange:
-        """Return the range of joints (n, 5) and wrenches (n, 6) at the tip in base_link."""
+    def of(cls, joints: Array, wrench: Array, only_nearby: bool, arm: Arm) -> FittedRange:
+        """Return the range of joints (n, j) and wrenches (n, 6) at the tip in base_link."""
         return cls(
             wrench_low=wrench.min(axis=0),
             wrench_high=wrench.max(axis=0),
             joints_low=joints.min(axis=0),
             joints_high=joints.max(axis=0),
-            positions=_distinct(joints) if only_nearby else None,
+            positions=_distinct(joints, nearby(arm)) if only_nearby else None,
+            arm=arm,
         )
 
     def left_by(self, joints: Array, wrench: Array) -> np.ndarray:
-        """Return which of the samples (n,) lie outside: joints (n, 5), wrenches (n, 6)."""
+        """Return which of the samples (n,) lie outside: joints (n, j), wrenches (n, 6)."""
         low, high = self._limits
         both = np.concatenate([wrench, joints], axis=1)
         outside = ((both < low) | (both > high)).any(axis=1)
         if self.positions is not None:
-            far = np.abs(joints[:, None] - self.positions) > NEARBY
+            far = np.abs(joints[:, None] - self.positions) > nearby(self.arm)
             outside |= np.all(far.any(axis=2), axis=1)
         return np.asarray(outside)
 
     @cached_property
     def _limits(self) -> tuple[Array, Array]:
-        """Lowest and highest (11,) of wrench and joints; near positions, joints have none here."""
+        """Lowest and highest (6 + j,) of wrench and joints; only near positions: wrench only."""
         wrench = np.maximum(MARGIN * (self.wrench_high - self.wrench_low), SMALLEST_MARGIN)
-        joints = np.maximum(MARGIN * (self.joints_high - self.joints_low), NEARBY)
+        joints = np.maximum(MARGIN * (self.joints_high - self.joints_low), nearby(self.arm))
         if self.positions is not None:
             joints = np.full_like(joints, np.inf)
         margin = np.concatenate([wrench, joints])
@@ -147,11 +156,11 @@ class FittedRange:
         return content
 
     @classmethod
-    def from_json(cls, content: Any, name: str) -> FittedRange:
+    def from_json(cls, content: Any, name: str, arm: Arm) -> FittedRange:
         """Read with checks; raises FieldError."""
         whole = mapping(content, name)
         sides: list[Array] = []
-        for what, size in (("wrench_at_tip", 6), ("joints", 5)):
+        for what, size in (("wrench_at_tip", 6), ("joints", len(arm.joints))):
             low, high = (
                 array(get(whole, f"{what}_{side}"), f"{name}.{what}_{side}", (size,))
                 for side in ("low", "high")
@@ -162,18 +171,18 @@ class FittedRange:
         positions = whole.get("positions")
         if positions is not None:
             rows = len(items(positions, f"{name}.positions"))
-            positions = array(positions, f"{name}.positions", (rows, 5))
+            positions = array(positions, f"{name}.positions", (rows, len(arm.joints)))
         wrench_low, wrench_high, joints_low, joints_high = sides
-        return cls(wrench_low, wrench_high, joints_low, joints_high, positions)
+        return cls(wrench_low, wrench_high, joints_low, joints_high, positions, arm)
 
 
-def _distinct(joints: Array) -> Array:
-    """Positions (k, 5) such that every one of joints (n, 5) is near one of them."""
+def _distinct(joints: Array, near: Array) -> Array:
+    """Positions (k, j) such that every one of joints (n, j) is near one of them."""
     found: list[Array] = []
     left = joints
     while len(left):
         found.append(left[0])
-        left = left[np.any(np.abs(left - left[0]) > NEARBY, axis=1)]
+        left = left[np.any(np.abs(left - left[0]) > near, axis=1)]
     return np.array(found)
 
 

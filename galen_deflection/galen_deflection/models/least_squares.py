@@ -216,7 +216,7 @@ def finished(
         discrepancy=_discrepancy(basis, samples, totals),
         noise=samples.noise,
         fitted_range=FittedRange.of(
-            used.joints, totals.wrench_at_tip[totals.used], only_nearby=False
+            used.joints, totals.wrench_at_tip[totals.used], only_nearby=False, arm=basis.arm
         ),
         fitted_on=fitted_on(used),
         unresolved=solution.unresolved,

@@ -21,6 +21,7 @@ from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
 import numpy as np
+from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.files.json_fields import (
@@ -272,6 +273,7 @@ class NetworkModel:
     fitted_on: Mapping[str, int]
     iterations: int
     held_out_error: float
+    arm: Arm = GALEN
     name: str = LSTM
     notes: tuple[str, ...] = ()
 
@@ -305,22 +307,23 @@ class NetworkModel:
         }
 
     @classmethod
-    def from_json(cls, content: Mapping[str, Any]) -> NetworkModel:
+    def from_json(cls, content: Mapping[str, Any], arm: Arm) -> NetworkModel:
         """Read a file's content; raises FieldError that names what is wrong."""
         period_s = number(get(content, "period_s"), "period_s")
         if not _LIMITS_S[0] <= period_s <= _LIMITS_S[1]:
             raise FieldError(f"period_s is {period_s:g}; expected 0.0001 to 10")
-        inputs = 6 + len(GALEN.joints)
+        inputs = 6 + len(arm.joints)
         return cls(
             tip_m=tip_from_json(content),
             net=RecurrentNet.from_json(get(content, "network"), inputs, OUTPUTS),
             period_s=period_s,
             discrepancy=covariance(get(content, "discrepancy"), "discrepancy", OUTPUTS),
             noise=noise_from_json(content),
-            fitted_range=FittedRange.from_json(get(content, "fitted_range"), "fitted_range"),
+            fitted_range=FittedRange.from_json(get(content, "fitted_range"), "fitted_range", arm),
             fitted_on=fitted_on_from_json(get(content, "fitted_on")),
             iterations=count(get(content, "iterations"), "iterations"),
             held_out_error=number(get(content, "held_out_error"), "held_out_error"),
+            arm=arm,
         )
 
 
@@ -329,7 +332,7 @@ class NetworkStream:
 
     def __init__(self, model: NetworkModel) -> None:
         self._model = model
-        self._springs = Springs(model.tip_m)
+        self._springs = Springs(model.tip_m, model.arm)
         self.reset()
 
     def run(self, stamp_ns: np.ndarray, joints: Array, wrench: Array) -> tuple[Array, np.ndarray]:

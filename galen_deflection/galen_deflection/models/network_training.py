@@ -36,11 +36,11 @@ from galen_model.arrays import Array
 from galen_deflection.errors import FitError
 from galen_deflection.measurement.samples import DeflectionSamples, check_to_fit
 from galen_deflection.models.interface import (
-    NEARBY,
     SMALLEST_MARGIN,
     FitSettings,
     FittedRange,
     fitted_on,
+    nearby,
 )
 from galen_deflection.models.least_squares import beyond_noise, blocks
 from galen_deflection.models.network import (
@@ -59,9 +59,6 @@ NEEDS = "needs PyTorch: `make networks` installs it"
 PERIOD_S = 0.04
 """A step of the network. A hand's pushes take a second; at the tracker's own 60 to 100 Hz a push
 would be a hundred steps to look back over."""
-
-LEAST_SCALE = 0.1 * np.concatenate([SMALLEST_MARGIN, NEARBY])
-"""Of the inputs: a smaller load or way is nothing that a network should look at."""
 
 _HELD_OUT_SHARE = 0.25
 
@@ -107,6 +104,9 @@ def fit_network(samples: DeflectionSamples, settings: FitSettings | None = None)
         raise FitError(f"{LSTM}: so few samples that no part of them can be held out")
     progress = settings.on_progress or (lambda done, total, what: None)
 
+    # Of the inputs: a smaller load or way is nothing that a network should look at.
+    least = 0.1 * np.concatenate([SMALLEST_MARGIN, nearby(samples.arm)])
+
     def part(rows: np.ndarray) -> list[Series]:
         return sequences(samples, inputs, rows, PERIOD_S)
 
@@ -115,14 +115,14 @@ def fit_network(samples: DeflectionSamples, settings: FitSettings | None = None)
         training,
         held_out=part(held),
         unit=samples.noise,
-        least=LEAST_SCALE,
+        least=least,
         on_progress=lambda done, total: progress(done, total, f"{LSTM}: to see how long is best"),
     )
     final, _, _ = train(
         part(used),
         replace(training, iterations=best + 1),
         unit=samples.noise,
-        least=LEAST_SCALE,
+        least=least,
         on_progress=lambda done, total: progress(done, total, f"{LSTM}: on all samples"),
     )
     mean = np.empty_like(samples.deflection)
@@ -135,10 +135,11 @@ def fit_network(samples: DeflectionSamples, settings: FitSettings | None = None)
         period_s=PERIOD_S,
         discrepancy=beyond_noise(error.T @ error / len(error), samples.noise),
         noise=samples.noise,
-        fitted_range=FittedRange.of(samples.joints[used], at_tip[used], only_nearby=True),
+        fitted_range=FittedRange.of(samples.joints[used], at_tip[used], True, samples.arm),
         fitted_on=fitted_on(samples.rows(used)),
         iterations=best + 1,
         held_out_error=errors[best],
+        arm=samples.arm,
     )
 
 

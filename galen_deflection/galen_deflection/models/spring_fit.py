@@ -85,7 +85,7 @@ _WORTH_IT = 0.01
 
 def fit_stiffness(samples: DeflectionSamples, settings: FitSettings | None = None) -> SpringModel:
     """Fit the springs alone by weighted non-negative least squares; raises FitError."""
-    basis = SpringBasis(samples.tip_m)
+    basis = SpringBasis(samples.tip_m, arm=samples.arm)
     return finished(STIFFNESS, basis, samples, sums(basis, samples, settings or FitSettings()))
 
 
@@ -107,12 +107,12 @@ def fit_hysteresis(samples: DeflectionSamples, settings: FitSettings | None = No
 
 def _whole_grid(samples: DeflectionSamples, settings: FitSettings) -> SpringBasis:
     """Plays at all thresholds, in all places; the springs alone are the platform's reference."""
-    springs = SpringBasis(samples.tip_m)
+    springs = SpringBasis(samples.tip_m, arm=samples.arm)
     reference = solve(*sums(springs, samples, settings).total(), springs.compliances).values
     anywhere = tuple(
         Operator(place, "play", (0.0,) * len(columns)) for place, columns in springs.columns.items()
     )
-    run = SpringRun(SpringBasis(samples.tip_m, anywhere, reference))
+    run = SpringRun(SpringBasis(samples.tip_m, anywhere, reference, samples.arm))
     largest = np.abs(run.loads(samples.joints, samples.wrench)[3]).max(axis=0)
     operators = []
     for place, columns in springs.columns.items():
@@ -123,7 +123,7 @@ def _whole_grid(samples: DeflectionSamples, settings: FitSettings) -> SpringBasi
         operators += [
             Operator(place, shape, tuple((share * loads).tolist())) for shape, share in _EVERY
         ]
-    return SpringBasis(samples.tip_m, tuple(operators), reference)
+    return SpringBasis(samples.tip_m, tuple(operators), reference, samples.arm)
 
 
 class _Candidate(NamedTuple):

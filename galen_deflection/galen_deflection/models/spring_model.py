@@ -338,10 +338,12 @@ class SpringModel:
         }
 
     @classmethod
-    def from_json(cls, content: Mapping[str, Any]) -> SpringModel:
+    def from_json(cls, content: Mapping[str, Any], arm: Arm) -> SpringModel:
         """Read a file's content; raises FieldError that names what is wrong."""
         name = text(get(content, "kind"), "kind")
-        basis = _basis_from_json(content, with_operators=name == HYSTERESIS)
+        basis = SpringBasis(tip_from_json(content), arm=arm)
+        if name == HYSTERESIS:
+            basis = _with_operators(basis, content)
         size = len(basis.parameters)
         return cls(
             name=name,
@@ -350,7 +352,7 @@ class SpringModel:
             covariance=covariance(get(content, "covariance"), "covariance", size),
             discrepancy=covariance(get(content, "discrepancy"), "discrepancy", 6),
             noise=noise_from_json(content),
-            fitted_range=FittedRange.from_json(get(content, "fitted_range"), "fitted_range"),
+            fitted_range=FittedRange.from_json(get(content, "fitted_range"), "fitted_range", arm),
             fitted_on=fitted_on_from_json(get(content, "fitted_on")),
             unresolved=texts(get(content, "unresolved"), "unresolved"),
             notes=texts(get(content, "notes"), "notes"),
@@ -388,10 +390,7 @@ class SpringStream:
         self._run = SpringRun(self._model.basis)
 
 
-def _basis_from_json(content: Mapping[str, Any], with_operators: bool) -> SpringBasis:
-    basis = SpringBasis(tip_from_json(content))
-    if not with_operators:
-        return basis
+def _with_operators(basis: SpringBasis, content: Mapping[str, Any]) -> SpringBasis:
     rows = items(get(content, "operators"), "operators")
     name = "reference_compliances"
     return replace(

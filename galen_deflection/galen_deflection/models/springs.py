@@ -204,7 +204,7 @@ class Springs:
 
 def tip_wrench(samples: DeflectionSamples) -> Array:
     """Return applied wrenches (n, 6) about the tip in base_link, N and N.m."""
-    return Springs(samples.tip_m).at_tip(samples.joints, samples.wrench)
+    return Springs(samples.tip_m, samples.arm).at_tip(samples.joints, samples.wrench)
 
 
 def _vector(values: Array) -> Vector:

@@ -44,12 +44,6 @@ def add_recordings(parser: argparse.ArgumentParser, *, required: bool) -> None:
         help="estimate the offset of the tool's marker from the tip, instead of taking it to be"
         " at the tip; needs positions with different orientations",
     )
-    group.add_argument(
-        "--from-rest",
-        action="store_true",
-        help="count each visit's deflection from before its first push, instead of from the tip by"
-        " the joints",
-    )
 
 
 def read_settings(arguments: argparse.Namespace) -> ReadSettings:
@@ -59,7 +53,6 @@ def read_settings(arguments: argparse.Namespace) -> ReadSettings:
         tool=Path(arguments.tool_beside) if beside else arguments.tool,
         tool_beside=beside,
         marker_offset=arguments.marker_offset,
-        from_rest=arguments.from_rest,
     )
 
 
