@@ -16,9 +16,8 @@ from galen_model.poses.plan import (
     SweepGrid,
     SweepPlan,
     SweepRange,
+    plan_as_is,
     plan_chosen,
-    plan_grid,
-    plan_listed,
 )
 from galen_ros.goal.parameters import PoseParameters
 from galen_ros.parameters import ParameterError, param
@@ -210,15 +209,14 @@ class CalibrationParameters(PoseParameters):
                 self.times(),
                 one_sweep=one_sweep,
             )
-        listed = self.poses == "listed"
-        poses = (
-            self.listed_poses()
-            if listed
-            else self.grid_poses(tilts or self.itersT, rolls or self.itersR)
-        )
+        named = {}
+        if self.poses == "listed":
+            poses = self.listed_poses()
+            named = {"source": "listed_poses_rad", "remedy": "clear the space, or leave it out"}
+        else:
+            poses = self.grid_poses(tilts or self.itersT, rolls or self.itersR)
         check_planned_poses(poses, one_sweep=one_sweep, zero_angles=self.home_angles)
-        plan = plan_listed if listed else plan_grid
-        return plan(poses, self.range, self.surroundings, tip_m)
+        return plan_as_is(poses, self.range, self.surroundings, tip_m, **named)
 
     @property
     def range(self) -> SweepRange:

@@ -11,7 +11,7 @@ from galen_model.arm.clearance import ObstacleError
 from galen_model.arrays import Array
 from galen_model.poses.design import compensation_std, reading_noise
 from galen_model.poses.order import drift_share
-from galen_model.poses.plan import plan_grid
+from galen_model.poses.plan import plan_as_is
 
 from galen_calibration_behavior.parameters import CalibrationParameters
 
@@ -26,7 +26,7 @@ def propose_poses(options: argparse.Namespace) -> dict[str, Any]:
     poses = parameters.plan(tip, one_sweep=options.one_sweep).poses
     grid = parameters.grid_poses(parameters.itersT, parameters.itersR)
     try:
-        plan_grid(grid, parameters.range, parameters.surroundings, tip)
+        plan_as_is(grid, parameters.range, parameters.surroundings, tip)
         grid_fault = ""
     except ObstacleError as error:
         grid_fault = str(error)

@@ -166,14 +166,6 @@ def test_a_goal_that_is_not_answered_is_not_left_running():
     assert error.rstrip().endswith("it had begun, and is canceled")
 
 
-def test_no_server_is_said_with_what_to_do():
-    with Harness() as harness, calibrate(harness, "pointer", "--timeout-s", "0.5") as client:
-        code, _, error = client.end()
-    assert code == 1
-    assert "start calibration_node" in error
-    assert "Traceback" not in error
-
-
 def test_a_node_ended_by_a_signal_stops_the_arm_and_its_client_hears_of_it(tmp_path):
     arguments = ["--ros-args", "-p", f"tools_dir:={tmp_path / 'tools'}"]
     for name, value in NODE_PARAMETERS.items():
@@ -213,14 +205,6 @@ def test_wrong_arguments_end_with_code_2(arguments, capsys):
         parse(arguments)
     assert end.value.code == EXIT_USAGE
     assert "calibrate: error:" in capsys.readouterr().err
-
-
-def test_help_tells_the_exit_codes(capsys):
-    with pytest.raises(SystemExit) as end:
-        parse(["--help"])
-    assert end.value.code == 0
-    text = capsys.readouterr().out
-    assert all(f"\n  {code} " in text for code in (0, 1, 2, 130))
 
 
 def test_the_table_shows_torque_in_mnm_and_every_warning():

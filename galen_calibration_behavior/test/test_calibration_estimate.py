@@ -9,12 +9,10 @@ from calibration_fake_arm import ADAPTER, NO_TOOL, POINTER
 from galen_calibration_behavior.calibration.estimate import (
     EstimateError,
     TipError,
-    check_writable,
     choose_tip,
     estimate,
 )
 from galen_calibration_behavior.commands import CalibrationCode, Measurements
-from galen_model.errors import CalibrationFileError
 from galen_model.files.calibration_file import read_calibration, write_calibration
 from galen_model.load.identification import StillPoses
 from galen_model.load.inertia import InertiaEstimate
@@ -139,12 +137,6 @@ def test_what_can_not_be_estimated_leaves_the_old_file(tmp_path, bare, tool, cod
     assert str(error.value)
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_a_directory_that_is_a_file_is_found_before_anything_moves(tmp_path):
-    (tmp_path / "tools").write_text("")
-    with pytest.raises(CalibrationFileError, match="tools"):
-        check_writable(tmp_path / "tools" / "pointer.json")
 
 
 def test_the_tip_is_taken_kept_or_zero(tmp_path):

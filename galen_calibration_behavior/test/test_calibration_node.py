@@ -19,7 +19,6 @@ from galen_ros.messages import STREAM, fill_stamp, fill_wrench
 from galen_ros.node.testing import Harness, parameters
 from geometry_msgs.msg import WrenchStamped
 from rclpy.action import ActionClient
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
@@ -225,38 +224,6 @@ def test_a_second_calibration_keeps_the_tip_and_the_old_file(world):
     assert json.loads((world.tools_dir / "pointer.json").read_text())["tip_m"] == [0.15, 0.0, 0.05]
 
 
-@pytest.mark.slow
-def test_it_works_without_the_events_executor(tmp_path):
-    with Harness(lambda context: SingleThreadedExecutor(context=context)) as harness:
-        world = make(harness, tmp_path)
-        world.driver.steps_a_tick = 2  # this executor takes one message a turn
-        first = world.send()
-        world.wait_for_pose(1)
-        world.cancel(first)
-        assert world.result(first)[0] == GoalStatus.STATUS_CANCELED
-        status, result = world.result(world.send(one_sweep=True, iters_t=2, iters_r=3))
-        assert status == GoalStatus.STATUS_SUCCEEDED, result.error_msg
-
-
-def test_cancel_stops_the_arm_and_writes_nothing(world):
-    handle = world.send()
-    world.wait_for_pose()
-    assert len(world.cancel(handle).goals_canceling) == 1
-    status, result = world.result(handle)
-    assert status == GoalStatus.STATUS_CANCELED
-    assert result.error_code == ErrorCode.CANCELED
-    assert "SWEEP_BARE" in result.error_msg
-    assert world.driver.stops == 1
-    assert not world.driver.arm.moving
-    assert world.files == []
-    moves = world.driver.moves
-    stamp = world.driver.arm.stamp_ns
-    world.harness.wait_for(
-        lambda: world.driver.arm.stamp_ns > stamp + 3_000_000_000, 5.0, "3 s on the arm's clock"
-    )
-    assert world.driver.moves == moves
-
-
 def test_a_second_goal_of_either_action_is_rejected_with_the_reason_on_diagnostics(world):
     client = ActionClient(world.client_node, CheckTool, "check_tool")
     world.harness.wait_for(client.server_is_ready, 10.0, "the other action server")
@@ -322,19 +289,6 @@ def test_a_driver_that_goes_silent_ends_it_naming_the_topic(world):
     assert world.driver.stops == 1
 
 
-@pytest.mark.usefixtures("quick_discovery")
-def test_no_driver_at_all_is_said(tmp_path):
-    with Harness() as harness:
-        world = make(harness, tmp_path, without=("driver",), silent_timeout_s=0.5)
-        world.fails(
-            world.send(),
-            ErrorCode.DRIVER_SILENT,
-            "/joint_states",
-            "/wrench_raw",
-            "driver running",
-        )
-
-
 def test_a_driver_that_comes_back_has_lost_the_zero(world):
     handle = world.send()
     world.wait_for_pose(1)
@@ -348,21 +302,6 @@ def test_a_driver_that_comes_back_has_lost_the_zero(world):
     assert status == GoalStatus.STATUS_ABORTED
     assert result.error_code in (ErrorCode.DRIVER_SILENT, ErrorCode.MOTION_TIMEOUT)
     assert world.files == []
-
-
-def test_a_name_that_must_not_reach_a_path_is_rejected(world):
-    for name in ("../x", "", "a b", "x" * 65, "ü", "a/b", "/etc/x"):
-        world.fails(world.send(tool=name), ErrorCode.INVALID_NAME, repr(name))
-    assert world.driver.moves == 0
-    assert list(world.tools_dir.parent.glob("*")) == []
-
-
-@pytest.mark.parametrize(
-    ("tilts", "rolls", "name"), [(65535, 65535, "iters_t"), (3, 101, "iters_r")]
-)
-def test_a_sweep_without_end_is_rejected(world, tilts, rolls, name):
-    handle = world.send(iters_t=tilts, iters_r=rolls)
-    world.fails(handle, ErrorCode.BAD_INPUT, name, "100")
 
 
 def test_poses_that_tell_too_little_are_rejected_before_the_arm_moves(world):
@@ -407,12 +346,6 @@ def test_two_drivers_are_rejected(world):
     )
 
 
-def test_confirm_is_rejected_when_nobody_was_asked(world):
-    answer = world.harness.call(world.confirm, Trigger.Request())
-    assert not answer.success
-    assert "no calibration is running" in answer.message
-
-
 def test_a_bug_ends_the_goal_and_not_the_node(world):
     handle = world.send()
     world.wait_for_pose(1)
@@ -426,15 +359,6 @@ def test_a_bug_ends_the_goal_and_not_the_node(world):
     world.harness.call_in_executor(lambda: delattr(world.node._arm, "move"))
     status, result = world.result(world.send(iters_t=2, iters_r=4))
     assert status == GoalStatus.STATUS_SUCCEEDED, result.error_msg
-
-
-def test_a_node_that_goes_down_stops_the_arm(world):
-    world.send()
-    world.wait_for_pose(1)
-    assert world.driver.stops == 0
-    world.harness.remove(world.node)
-    world.harness.wait_for(lambda: world.driver.stops, 5.0, "the stop")
-    assert world.files == []
 
 
 def test_joint_states_in_another_order_with_other_joints_are_fine(world):

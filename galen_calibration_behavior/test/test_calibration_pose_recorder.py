@@ -96,19 +96,6 @@ def test_a_joint_that_does_not_get_there_is_named_with_both_values():
         record(arm, allowance_s=2.0)
 
 
-def test_velocity_noise_of_single_samples_is_forgiven():
-    arm = FakeArm(start=TARGET)
-
-    def step():
-        stamp, position, velocity, wrench = FakeArm.step(arm)
-        if arm.random.random() < 0.2:
-            velocity = velocity + 0.025  # one encoder step a sample
-        return stamp, position, velocity, wrench
-
-    arm.step = step
-    assert isinstance(record(arm), PoseRecord)
-
-
 def test_motion_inside_the_window_rejects_and_names_the_joint():
     arm = FakeArm(start=TARGET)
     arm.report_velocity = True

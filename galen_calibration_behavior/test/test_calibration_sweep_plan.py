@@ -164,10 +164,6 @@ def test_the_serpentine_takes_the_order_with_less_travel():
         assert travel == pytest.approx(min(roll_inside, tilt_inside))
 
 
-def test_one_pose_of_a_joint_stands_in_the_middle():
-    assert grid(tilts=1, rolls=2)[:, 1].tolist() == pytest.approx([-0.05, -0.05])
-
-
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -184,10 +180,6 @@ def test_an_impossible_grid_names_joint_and_value(change, words):
     with pytest.raises(GridError) as error:
         grid(**change)
     assert all(word in str(error.value) for word in words), str(error.value)
-
-
-def test_a_range_may_run_downward():
-    assert grid(tstart=0.9, tend=-1.0)[0, 1] == 0.9
 
 
 # --- listed poses
@@ -222,10 +214,6 @@ def test_what_can_not_be_visited_is_rejected_by_its_number():
         listed(POSES, obstacles=box).plan(TIP)
 
 
-def test_a_list_that_is_not_used_is_not_looked_at():
-    CalibrationParameters(listed_poses_rad=(9.0,)).validate()
-
-
 # --- times
 
 TIME = np.linspace(0.0, 1.0, 20001)
@@ -245,14 +233,3 @@ def test_one_limit_is_met_and_none_is_broken(distance):
     assert velocity <= 0.8 * 1.001
     assert acceleration <= 3.0 * 1.001
     assert velocity >= 0.8 * 0.999 or acceleration >= 3.0 * 0.995 or duration == 0.05
-
-
-def test_the_slowest_joint_decides():
-    limits = [0.1, 0.8], [1.0, 3.0]
-    both = quintic_duration_s([0.2, 0.3], *limits)
-    assert both == quintic_duration_s([0.2, 0.0], *limits)
-    assert both > quintic_duration_s([0.0, 0.3], *limits)
-
-
-def test_no_distance_still_takes_time():
-    assert quintic_duration_s(np.zeros(5), np.ones(5), np.ones(5)) == 0.05

@@ -20,23 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from galen_model.arrays import Array
-from galen_model.rotation import matrix_to_rotvec, rotvec_to_matrix, skew
-
-
-def adjoint(transform_a_b: ArrayLike) -> Array:
-    """Ad of a homogeneous transform, shape (4, 4) -> (6, 6).
-
-    It takes a twist (v, w) from frame b to frame a:  Ad = [[R, p^ R], [0, R]],
-    where p is the origin of b in a, and so belongs to R: for a point that is fixed in b, p
-    changes as R does (the 2019 report's eqs. 9-11 keep it constant, which only holds for pure
-    translations). A wrench goes the other way: F_b = Ad^T F_a.
-    """
-    transform = np.asarray(transform_a_b, dtype=float)
-    rotation, translation = transform[:3, :3], transform[:3, 3]
-    matrix = np.zeros((6, 6))
-    matrix[:3, :3] = matrix[3:, 3:] = rotation
-    matrix[:3, 3:] = skew(translation) @ rotation
-    return matrix
+from galen_model.rotation import matrix_to_rotvec, rotvec_to_matrix
 
 
 def move_wrench(wrench_b: ArrayLike, rotation_a_b: ArrayLike, origin_b_in_a_m: ArrayLike) -> Array:

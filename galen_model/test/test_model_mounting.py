@@ -15,7 +15,7 @@ from galen_model.files.calibration_file import (
     write_calibration,
 )
 from galen_model.files.json_fields import FieldError
-from galen_model.load.identification import StillPoses, identify_two_sweeps
+from galen_model.load.identification import StillPoses
 from galen_model.load.model import Load
 from galen_model.load.mounting.identification import (
     Calibrated,
@@ -184,9 +184,9 @@ def test_next_to_no_noise_gives_the_mounting_and_the_loads(groups):
     made = sweeps(mounted, rng, noise=1e-6 * SIGMA, poses=grid(4, 5))
     found = identify_two_sweeps_mounted(*made, groups)
     np.testing.assert_allclose(found.mounting.vector, mounted.vector, atol=1e-8)
-    assert found.found.load.mass_kg == pytest.approx(RETRACTOR.mass_kg, abs=1e-8)
-    np.testing.assert_allclose(found.found.load.com_m, RETRACTOR.com_m, atol=1e-8)
-    assert not found.found.outliers
+    assert found.load.mass_kg == pytest.approx(RETRACTOR.mass_kg, abs=1e-8)
+    np.testing.assert_allclose(found.load.com_m, RETRACTOR.com_m, atol=1e-8)
+    assert not found.outliers
 
 
 def test_a_weighed_load_with_a_known_centre_tells_every_gain():
@@ -224,14 +224,6 @@ def test_twins_are_rejected_by_name(groups, pair):
         check_planned_mounting(grid(), groups)
     for message in (str(rejected.value), str(planned.value)):
         assert named_pairs(message) == {frozenset(f"the {name}" for name in pair)}
-
-
-def test_all_at_once_names_all_four_pairs():
-    with pytest.raises(NotExcitedError) as rejected:
-        identify_two_sweeps_mounted(*sweeps(Mounting(), np.random.default_rng(1)), ALL)
-    assert named_pairs(str(rejected.value)) == {
-        frozenset(f"the {name}" for name in pair) for _, pair in TWINS
-    }
 
 
 def test_a_tool_on_the_axis_does_not_tell_the_torque_about_it():
@@ -272,7 +264,7 @@ def test_a_touched_pose_is_named_and_does_not_turn_the_sensor():
     bare, tool = sweeps(mounted, np.random.default_rng(13))
     tool.wrench[17] += [0.5, 0.0, 0.3, 0.0, 0.02, 0.0]
     found = identify_two_sweeps_mounted(bare, tool, ["sensor_rotation"])
-    assert [(o.sweep, o.pose) for o in found.found.outliers] == [("tool", 17)]
+    assert [(o.sweep, o.pose) for o in found.outliers] == [("tool", 17)]
     error = found.mounting.vector[:3] - mounted.vector[:3]
     assert np.all(np.abs(error) < 4.5 * found.mounting.std[:3])
 
@@ -284,7 +276,7 @@ def test_one_sweep_tells_the_mounting_too():
     error = found.mounting.joint_zero_rad - mounted.joint_zero_rad
     assert np.all(np.abs(error) < 4.0 * found.mounting.std[11:])
     assert found.mounting.std[11:].max() < 0.1 * DEG
-    assert found.found.unresolved
+    assert found.unresolved
     with pytest.raises(NotExcitedError, match="common force gain and the masses"):
         identify_one_sweep_mounted(tool, ["force_gain"])
 
@@ -316,8 +308,8 @@ def test_orientations_tell_rotation_and_inclination():
 
 
 @pytest.mark.slow
-def test_errors_are_the_bounds_and_the_intervals_hold():
-    """30 calibrations: scatter against Cramer-Rao by the simulator's own slopes, chi-square."""
+def test_the_intervals_hold():
+    """30 calibrations against chi-square."""
     groups = ["sensor_rotation", "base_inclination", "gain_ratio"]
     basis = np.array([e.direction for e in entities(groups)]).T
     mounted, poses, count = mounting(only=groups), grid(4, 5), 30
@@ -325,7 +317,7 @@ def test_errors_are_the_bounds_and_the_intervals_hold():
     clean = sweeps(mounted, poses=poses)
     reduce = np.linalg.pinv(basis)
     truth = reduce @ mounted.vector
-    errors, distances, inside = [], [], []
+    distances, inside = [], []
     for _ in range(count):
         bare, tool = (
             StillPoses(poses, one.wrench + SIGMA * rng.standard_normal(one.wrench.shape))
@@ -333,29 +325,8 @@ def test_errors_are_the_bounds_and_the_intervals_hold():
         )
         found = identify_two_sweeps_mounted(bare, tool, groups).mounting
         error, covariance = reduce @ found.vector - truth, reduce @ found.covariance @ reduce.T
-        errors.append(error)
         distances.append(error @ np.linalg.solve(covariance, error))
         inside.append(np.abs(error) < 1.96 * np.sqrt(np.diag(covariance)))
-
-    def simulated(change):
-        made = Mounting.from_vector(mounted.vector + basis @ change[20:])
-        parts = []
-        for load, offset in ((NOTHING, change[8:14]), (RETRACTOR, change[14:20])):
-            moments = np.asarray([load.mass_kg, *(load.mass_kg * np.asarray(load.com_m))])
-            moments = moments + (change[:4] if load is RETRACTOR else 0.0)
-            adapter = ADAPTER.moments + change[4:8]
-            tool = Load(moments[0], moments[1:] / moments[0] if moments[0] else np.zeros(3))
-            hung = Load(adapter[0], adapter[1:] / adapter[0])
-            both = true_wrench(made, poses, tool) + true_wrench(made, poses, hung)
-            home = sensed(made, true_wrench(made, np.zeros(2), hung))
-            parts.append(((sensed(made, both) - home + offset) / SIGMA).ravel())
-        return np.concatenate(parts)
-
-    steps = 1e-6 * np.eye(20 + len(truth))
-    slopes = np.array([(simulated(step) - simulated(-step)) / 2e-6 for step in steps]).T
-    bound = np.sqrt(np.diag(np.linalg.inv(slopes.T @ slopes))[20:])
-    scatter = np.sqrt(np.mean(np.square(errors), axis=0))
-    np.testing.assert_allclose(scatter / bound, 1.0, atol=4.5 / np.sqrt(2 * count))
     # 30 x 9 outcomes; the chi-square of each has 9 degrees of freedom
     assert 0.90 < np.mean(inside) < 0.985
     assert abs(np.mean(distances) - 9.0) < 4.0 * np.sqrt(2 * 9 / count)
@@ -399,11 +370,3 @@ def test_what_can_not_be_asked_for_is_said():
     assert len(PARAMETERS) == 13
     basis = np.array([e.direction for group in ALL for e in GROUPS[group]])
     assert np.linalg.matrix_rank(basis) == 13
-
-
-def test_without_a_mounting_the_loads_are_those_of_the_plain_identification():
-    bare, tool = sweeps(Mounting(), np.random.default_rng(17))
-    plain = identify_two_sweeps(bare, tool)
-    none = identify_two_sweeps_mounted(bare, tool, [])
-    assert none.found.load.mass_kg == pytest.approx(plain.load.mass_kg, rel=1e-9)
-    np.testing.assert_allclose(none.found.load.covariance, plain.load.covariance, rtol=1e-6)

@@ -1,19 +1,13 @@
 """Calibration files: read back what was written, reject what is not one, survive a kill."""
 
 import json
-import os
-import signal
-import subprocess
-import sys
-import time
 
 import numpy as np
 import pytest
 from galen_model.arm.galen import GALEN
-from galen_model.errors import CalibrationFileError, ToolNameError
+from galen_model.errors import CalibrationFileError
 from galen_model.files.calibration_file import (
     calibration_path,
-    check_tool_name,
     read_calibration,
     write_calibration,
 )
@@ -116,16 +110,6 @@ def test_the_old_file_is_kept_as_bak(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "name", ["../x", "a/b", "", "a b", "ü", "x" * 65, ".", "a\n", "a\0b", "/etc/x"]
-)
-def test_names_that_must_not_reach_a_path(name, tmp_path):
-    with pytest.raises(ToolNameError, match="letters, digits"):
-        check_tool_name(name)
-    with pytest.raises(ToolNameError):
-        calibration_path(tmp_path, name)
-
-
-@pytest.mark.parametrize(
     ("change", "message"),
     [
         ({"schema_version": 3}, "schema_version is 3"),
@@ -209,15 +193,6 @@ def test_what_is_nested_too_deep_is_rejected(tmp_path, field, depth):
         read_calibration(path)
 
 
-def test_a_missing_or_huge_file_is_rejected(tmp_path):
-    with pytest.raises(CalibrationFileError, match="can't be read"):
-        read_calibration(tmp_path / "none.json")
-    huge = tmp_path / "huge.json"
-    huge.write_bytes(b" " * 1_000_001)
-    with pytest.raises(CalibrationFileError, match="larger than"):
-        read_calibration(huge)
-
-
 def test_what_can_not_be_read_is_not_written(tmp_path):
     path = calibration_path(tmp_path, "pointer")
     write_calibration(path, calibration())
@@ -228,51 +203,6 @@ def test_what_can_not_be_read_is_not_written(tmp_path):
         write_calibration(path, calibration(mass_kg=-1.0))
     assert path.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["pointer.json"]
-
-
-def test_a_directory_that_can_not_be_made_is_named(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(CalibrationFileError, match="can't be written"):
-        write_calibration(tmp_path / "file" / "pointer.json", calibration())
-
-
-WRITER = """
-import sys, dataclasses
-from galen_model.files.calibration_file import read_calibration, write_calibration
-path = sys.argv[1]
-tool = read_calibration(path)
-print("ready", flush=True)
-count = 0
-while True:
-    count += 1
-    changed = dataclasses.replace(tool, poses_used=count, poses_rejected=("x" * 200,) * 50)
-    write_calibration(path, changed)
-"""
-
-
-@pytest.mark.slow
-def test_a_kill_at_any_moment_leaves_a_atomic_file(tmp_path):
-    path = calibration_path(tmp_path, "pointer")
-    write_calibration(path, calibration())
-    rng = np.random.default_rng(0)
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    written = set()
-    for _ in range(12):
-        process = subprocess.Popen(
-            [sys.executable, "-c", WRITER, str(path)], stdout=subprocess.PIPE, env=environment
-        )
-        assert process.stdout.readline() == b"ready\n"
-        time.sleep(
-            rng.uniform(0.0, 0.05)
-        )  # the random moment of the kill, not a wait for something
-        process.send_signal(signal.SIGKILL)
-        process.wait()
-        process.stdout.close()
-        written.add(read_calibration(path).poses_used)
-        backup = path.with_name("pointer.json.bak")
-        if backup.exists():
-            read_calibration(backup)
-    assert len(written) > 1  # it did write in between
 
 
 def test_a_file_that_is_not_there_is_told_from_a_bad_one(tmp_path):

@@ -189,22 +189,6 @@ def test_a_rename_cut_short_loses_nothing(
     assert "pointer.json" not in after
 
 
-def test_a_calibration_written_during_a_rename_is_not_lost(
-    store: CalibrationStore, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    real = tool_store.write_new
-
-    def calibrate_meanwhile(path, content):
-        real(path, content)
-        if path.name == "probe.json":
-            write_calibration(store.directory / "pointer.json", calibration("pointer", 0.07))
-
-    monkeypatch.setattr(tool_store, "write_new", calibrate_meanwhile)
-    with pytest.raises(CalibrationStoreError, match="is being written; ask again"):
-        store.rename("pointer", "probe")
-    assert masses(store) == BEFORE | {"pointer.json": 0.07, "pointer.json.bak": 0.06}
-
-
 @pytest.mark.parametrize("change", ["rename", "remove"])
 def test_a_calibration_written_at_the_last_moment_is_not_lost(
     store: CalibrationStore, monkeypatch: pytest.MonkeyPatch, change: str

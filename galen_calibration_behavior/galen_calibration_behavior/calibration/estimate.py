@@ -133,15 +133,14 @@ def estimate(
     for measurements that come out of a recording; None: now. `mounting`: estimate that as well.
     Raises EstimateError.
     """
-    mounted: Mounting | None = None
     gain: Worth | None = None
     try:
         if mounting is None:
             found = _identify(measurements)
         else:
             measured = _with_mounting(measurements, mounting)
-            both = measured.identify()
-            found, mounted, gain = both.found, both.mounting, worth(measured, both)
+            found = measured.identify()
+            gain = worth(measured, found)
     except NotExcitedError as error:
         raise EstimateError(CalibrationCode.NOT_EXCITED, str(error)) from error
     except IdentificationError as error:
@@ -158,7 +157,7 @@ def estimate(
         zeroing=zeroed_at(measurements.zero_angles),
         poses_rejected=(*measurements.rejected, *_outliers(found, measurements)),
         unresolved=found.unresolved,
-        mounting=mounted,
+        mounting=found.mounting,
     )
     said = [*warnings, *measurements.warnings, *found.warnings, *_dropped(path, content)]
     if gain is not None and not gain.pays:

@@ -63,7 +63,7 @@ class Visit:
 
 @dataclass(frozen=True)
 class Visits:
-    """A recording's visits in order, how many phases were too short for one, and what is odd.
+    """A recording's visits in order, and what is odd.
 
     `origin_ns` is the first joint state's stamp, from which times are told.
     """
@@ -71,7 +71,6 @@ class Visits:
     path: Path
     origin_ns: int
     visits: list[Visit]
-    too_short: int
     warnings: list[str]
 
     def time_s(self, stamp_ns: int) -> float:
@@ -116,7 +115,7 @@ def find_visits(
             f" averaging take ({len(phases)} shorter stops)"
         )
     origin_ns = int(recording.joint_stamp_ns[0])
-    return Visits(recording.path, origin_ns, visits, len(phases) - len(visits), warnings)
+    return Visits(recording.path, origin_ns, visits, warnings)
 
 
 class _Player:

@@ -19,9 +19,7 @@ between, with a continuous slope; nothing jumps.
 A part of the pull that is constant or linear in gravity's direction looks like a load. So the load
 comes from a calibration without the cable; what is left with it on is the cable's.
 
-In which form a cable's pull is learned: what a few smooth functions of the pose stand for.
-
-The reading (6,) is y = B(q) g(q), with smooth g and B known. Three forms:
+A pull is learned in one of three forms:
 
     free              g: three forces and three torques along ft_sensor, nothing presumed
     point             g: a force F along base_link that acts at one point r of the tool
@@ -66,13 +64,13 @@ def groups(form: str) -> int:
 
 
 def form_matrices(form: str, joints: ArrayLike, attachment_m: ArrayLike) -> Array:
-    """B (groups, n, 6, 3) at joints (n, 5), m and rad; attachment (3,) in ft_sensor, m."""
+    """B (groups, n, 6, 3) at joints (n, 5); attachment (3,) in ft_sensor, m."""
     q = np.asarray(joints, dtype=float)
     matrices = np.zeros((groups(form), len(q), 6, 3))
     if form == "free":
         matrices[0, :, :3] = matrices[1, :, 3:] = np.eye(3)
         return matrices
-    turned = np.swapaxes(GALEN.rotation(q[:, 3:]), -1, -2)
+    turned = np.swapaxes(GALEN.rotation(GALEN.angles(q)), -1, -2)
     matrices[0, :, :3] = turned
     matrices[0, :, 3:] = skew(np.asarray(attachment_m, dtype=float)) @ turned
     if form == "point_and_couple":
@@ -84,7 +82,7 @@ def attachment_derivatives(form: str, joints: Array) -> Array:
     """Return derivatives of B[0] by the attachment (3, n, 6, 3), 1/m; zeros for `free`."""
     derivatives = np.zeros((3, len(joints), 6, 3))
     if form != "free":
-        turned = np.swapaxes(GALEN.rotation(joints[:, 3:]), -1, -2)
+        turned = np.swapaxes(GALEN.rotation(GALEN.angles(joints)), -1, -2)
         derivatives[:, :, 3:] = skew(np.eye(3))[:, None] @ turned
     return derivatives
 

@@ -91,7 +91,7 @@ class CableFit:
 
 def spacing_rad(joints: Array) -> float:
     """How far apart the poses (n, 5) stand in their angles: most have another within it."""
-    angles = joints[:, 3:]
+    angles = GALEN.angles(joints)
     apart = np.linalg.norm(angles[:, None] - angles[None], axis=2)
     apart[apart < _DUPLICATE_RAD] = np.inf
     return float(np.quantile(apart.min(axis=1), 0.8))
@@ -436,7 +436,7 @@ def _linear_held_out(sweep: CableSweep, block: np.ndarray) -> Array:
 
 
 def _ten_columns(sweep: CableSweep) -> Array:
-    return load_and_offset(GALEN.gravity_in_sensor(sweep.joints[:, 3:]))
+    return load_and_offset(GALEN.gravity_in_sensor(GALEN.angles(sweep.joints)))
 
 
 def _least_squares(design: Array, readings: Array, std: Array) -> Array:

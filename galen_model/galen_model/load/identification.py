@@ -36,6 +36,7 @@ from galen_model.load.robust_fit import Prior, RobustFit, fit_robust
 
 if TYPE_CHECKING:
     from galen_model.load.drifting_identification import SweepBiasDrift
+    from galen_model.load.mounting.mounting import Mounting
 
 MIN_POSES = 4
 """Fewer still poses than this leave no residual worth the name."""
@@ -111,7 +112,7 @@ class Identification:
     rmse: (6,) residual of the used readings of the sweep with the tool; sigma: (6,) noise of one
     averaged reading as the residuals tell it. used_*: masks of the poses used. bias_drift: None
     unless a bias that drifts was asked for; where it does, each offset is that at its sweep's last
-    pose.
+    pose. mounting: None unless its parameters were asked for.
     """
 
     load: LoadEstimate
@@ -128,6 +129,7 @@ class Identification:
     warnings: tuple[str, ...]
     unresolved: tuple[str, ...] = ()
     bias_drift: SweepBiasDrift | None = None
+    mounting: Mounting | None = None
 
 
 def identify_two_sweeps(

@@ -35,6 +35,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
+from galen_model.arm.galen import GALEN
 from galen_model.arm.sensor_motion import sensor_motion
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_sf
@@ -73,14 +74,7 @@ class MotionRecord:
 
     def take(self, rows: np.ndarray) -> MotionRecord:
         """Return some of the readings, by index or mask."""
-        return MotionRecord(
-            self.time_s[rows],
-            self.gravity[rows],
-            self.acceleration_m_s2[rows],
-            self.velocity_rad_s[rows],
-            self.acceleration_rad_s2[rows],
-            self.wrench[rows],
-        )
+        return MotionRecord(*(getattr(self, name)[rows] for name in _FIELDS))
 
 
 def motion_record(
@@ -123,10 +117,9 @@ def motion_record(
         step = max(1, round(1.0 / (_SAMPLES_A_CUTOFF * cutoff_hz * period_s)))
         edge = round(_EDGE_S / period_s)
         rows = slice(edge, len(time_s) - edge, step)
-        angles = smooth[rows, 3:]
-        turned = smooth[rows].copy()
-        turned[:, 3:] += mounting.joint_zero_rad
-        motion = sensor_motion(turned, velocity[rows], acceleration[rows])
+        angles = GALEN.angles(smooth[rows])
+        true = GALEN.with_angles(angles + mounting.joint_zero_rad, smooth[rows])
+        motion = sensor_motion(true, velocity[rows], acceleration[rows])
         parts.append(
             MotionRecord(
                 time_s[rows],

@@ -1,9 +1,7 @@
 """Which poses a sweep visits: the grid's, chosen or listed ones, and the ways around boxes.
 
-The still poses of a sweep: a grid over tilt and roll, in an order that saves travel.
-
-The 2019 report sweeps 7 tilts x 8 rolls = 56 poses (class roBehaviorGravComp: tstart, tend, itersT,
-rstart, rend, itersR).
+The grid is over tilt and roll, in an order that saves travel. The 2019 report sweeps 7 tilts x 8
+rolls = 56 poses (class roBehaviorGravComp: tstart, tend, itersT, rstart, rend, itersR).
 """
 
 from __future__ import annotations
@@ -92,7 +90,7 @@ def _serpentine(outer: Array, inner: Array) -> Array:
 
 # Candidates over the sweep's range of angles. 187 are within 0.6 % of the best poses of a
 # continuum, up to some fifty (test_model_pose_design.py).
-CANDIDATE_ROLLS, CANDIDATE_TILTS = 17, 11
+CANDIDATES = (17, 11)
 
 
 @dataclass(frozen=True)
@@ -113,7 +111,7 @@ class SweepRange:
     home: Array
     lower: Sequence[float]
     upper: Sequence[float]
-    steps: tuple[int, ...] = (CANDIDATE_ROLLS, CANDIDATE_TILTS)
+    steps: tuple[int, ...] = CANDIDATES
     name: str = "home"
     arm: Arm = GALEN
 
@@ -136,30 +134,16 @@ class SweepPlan:
     router: Router | None = None
 
 
-def plan_grid(
-    poses: Array, where: SweepRange, surroundings: Surroundings, tip_m: Array
-) -> SweepPlan:
-    """Plan the grid as it is; raises ObstacleError naming the first pose in a box's way."""
-    remedy = "clear the space, narrow the grid, or set poses to chosen"
-    return _plan_as_is(poses, "the grid", remedy, where, surroundings, tip_m)
-
-
-def plan_listed(
-    poses: Array, where: SweepRange, surroundings: Surroundings, tip_m: Array
-) -> SweepPlan:
-    """Plan the listed poses as they are, raising as `plan_grid` does."""
-    remedy = "clear the space, or leave it out"
-    return _plan_as_is(poses, "listed_poses_rad", remedy, where, surroundings, tip_m)
-
-
-def _plan_as_is(
+def plan_as_is(
     poses: Array,
-    source: str,
-    remedy: str,
     where: SweepRange,
     surroundings: Surroundings,
     tip_m: Array,
+    *,
+    source: str = "the grid",
+    remedy: str = "clear the space, narrow the grid, or set poses to chosen",
 ) -> SweepPlan:
+    """Plan the poses of `source`; raises ObstacleError naming the first one in a box's way."""
     router = make_router(where, surroundings, tip_m)
     if router is not None:
         for index, angles in enumerate(poses):

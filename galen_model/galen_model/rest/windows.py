@@ -69,11 +69,6 @@ class StillWindows:
         self._level = _NoiseLevel()
         self.clear()
 
-    @property
-    def noise_known(self) -> bool:
-        """Whether enough still windows were seen to know the sensor's noise."""
-        return self._level.known
-
     def clear(self) -> None:
         """Forget the samples and the sensor's noise."""
         self._level.clear()

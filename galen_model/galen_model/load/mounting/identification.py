@@ -106,14 +106,6 @@ class KnownLoad:
 
 
 @dataclass(frozen=True)
-class MountedIdentification:
-    """Loads with offsets, as without a mounting, and the mounting. rmse, offsets: raw axes."""
-
-    found: Identification
-    mounting: Mounting
-
-
-@dataclass(frozen=True)
 class MountedLoad:
     """One load, its offsets (6,) and the mounting, from orientations."""
 
@@ -135,8 +127,10 @@ def identify_two_sweeps_mounted(
     groups: Sequence[str],
     zero_angles: ArrayLike | None = None,
     known: KnownLoad | None = None,
-) -> MountedIdentification:
+) -> Identification:
     """As `identify_two_sweeps`, with the mounting's `groups`. known: of the tool.
+
+    rmse and offsets are of the raw axes.
 
     Raises NotExcitedError naming the pairs, and as `identify_two_sweeps` does.
     """
@@ -156,16 +150,15 @@ def identify_two_sweeps_mounted(
     check_channels(design[: len(bare), :, 4:8], bare, "sweep without the tool")
     check_channels(design[len(bare) :, :, :4], tool, "sweep with the tool")
     fit = problem.fit(readings, start, sigma)
-    return MountedIdentification(
-        two_sweeps_result(fit, bare, tool), problem.mounting(fit, tuple(groups))
-    )
+    found = two_sweeps_result(fit, bare, tool)
+    return replace(found, mounting=problem.mounting(fit, tuple(groups)))
 
 
 def identify_one_sweep_mounted(
     tool: StillPoses,
     groups: Sequence[str],
     zero_angles: ArrayLike | None = None,
-) -> MountedIdentification:
+) -> Identification:
     """As `identify_one_sweep`, with the mounting's `groups`; raises as the two sweeps' does.
 
     The mounting must show in the poses themselves, whatever the zeroing tells: the gate looks at
@@ -199,7 +192,7 @@ def identify_one_sweep_mounted(
     together.check(sum_values, fit.sigma, MAX_STD, fit.used)
     mounting = problem.mounting(fit, tuple(groups))
     gravity_zero = zero.gravity(mounting)[0][0]
-    return MountedIdentification(one_sweep_result(fit, tool, gravity_zero), mounting)
+    return replace(one_sweep_result(fit, tool, gravity_zero), mounting=mounting)
 
 
 def identify_single_load_mounted(
@@ -371,7 +364,7 @@ class Calibrated:
     zero_angles: ArrayLike | None = None
     known: KnownLoad | None = None
 
-    def identify(self) -> MountedIdentification:
+    def identify(self) -> Identification:
         """From all poses, or those `without` leaves; raises IdentificationError."""
         if self.bare is not None:
             return identify_two_sweeps_mounted(
@@ -394,7 +387,7 @@ class Calibrated:
         return replace(self, bare=bare, tool=tool)
 
 
-def worth(measured: Calibrated, all_poses: MountedIdentification, blocks: int = BLOCKS) -> Worth:
+def worth(measured: Calibrated, all_poses: Identification, blocks: int = BLOCKS) -> Worth:
     """Score the models; all_poses: the mounted fit to everything, whose outliers don't count.
 
     Raises IdentificationError where the mounting can't be fitted without a block.
@@ -403,7 +396,7 @@ def worth(measured: Calibrated, all_poses: MountedIdentification, blocks: int = 
     for block in range(blocks):
         held = _held(measured.tool, block, blocks)
         rest = measured.without(block, blocks)
-        scored = _take(measured.tool, held & all_poses.found.used_tool)
+        scored = _take(measured.tool, held & all_poses.used_tool)
         try:
             mounted = rest.identify()
         except IdentificationError as error:
@@ -413,27 +406,27 @@ def worth(measured: Calibrated, all_poses: MountedIdentification, blocks: int = 
         for name, predict in zip(parts, _models(rest, mounted), strict=True):
             left = np.full((len(scored), 6), np.nan) if predict is None else predict(scored)
             parts[name].append(scored.wrench - left)
-    return compare(parts, all_poses.found.sigma)
+    return compare(parts, all_poses.sigma)
 
 
-def _models(rest: Calibrated, mounted: MountedIdentification) -> list[_Predict | None]:
+def _models(rest: Calibrated, mounted: Identification) -> list[_Predict | None]:
     moments, offset = plain_least_squares(rest.tool.gravity, rest.tool.wrench)
     try:
         unmounted = rest.identify_unmounted()
     except IdentificationError:  # far off, readings fit no load at all without a mounting
         galen = None
     else:
-        galen = _predictor(unmounted, Mounting(), rest.zero_angles)
+        galen = _predictor(unmounted, rest.zero_angles)
     return [
         lambda poses: gravity_regressor(poses.gravity) @ moments + offset,
         galen,
-        _predictor(mounted.found, mounted.mounting, rest.zero_angles),
+        _predictor(mounted, rest.zero_angles),
     ]
 
 
-def _predictor(
-    found: Identification, mounting: Mounting, zero_angles: ArrayLike | None
-) -> _Predict:
+def _predictor(found: Identification, zero_angles: ArrayLike | None) -> _Predict:
+    mounting = found.mounting or Mounting()
+
     def predict(poses: StillPoses) -> Array:
         gravity = mounting.gravity_in_sensor(poses.angles)
         wrench = (
