@@ -15,7 +15,6 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from datetime import datetime
 
 import numpy as np
 from galen_model.arm.arm import Arm
@@ -173,11 +172,6 @@ HEADER = ",".join(
     ]
 )
 """SI units; wrenches in ft_sensor, the deflection of the tip in base_link."""
-
-
-def file_name(kind: str, ending: str, now: datetime) -> str:
-    """Name a file, such as galen_wrench_2026-11-22_09-03-12.csv."""
-    return f"galen_{kind}_{now:%Y-%m-%d_%H-%M-%S}.{ending}"
 
 
 def csv(raw: StreamSamples, compensated: StreamSamples, deflection: StreamSamples) -> bytes:

@@ -162,12 +162,8 @@ _GOAL_IDLE = {
 }
 _KEEP_OFF = "Keep off the arm and the tool."
 
-WHILE_CALIBRATING = {
-    "gravcomp": {
-        "does_not_fit": Advice("Compensates '{tool}'; its fit is not judged during a calibration.")
-    },
-}
-"""Warnings that are expected while a calibration runs, and their words meanwhile."""
+FIT_NOT_JUDGED = Advice("Compensates '{tool}'; its fit is not judged during a calibration.")
+"""In place of gravcomp's warning does_not_fit, which is expected while a calibration runs."""
 
 ADVICE: dict[str, dict[str, Advice]] = {
     "gravcomp": _STREAM

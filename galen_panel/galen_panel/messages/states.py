@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 
 from galen_panel.messages.advice import (
     ADVICE,
+    FIT_NOT_JUDGED,
     LIFECYCLE,
     NO_CLOCK,
     OUTPUT,
     REJECTED,
-    WHILE_CALIBRATING,
     Advice,
 )
 from galen_panel.messages.hints import DRIVER, GRAVCOMP, PROGRAMS, Program
@@ -66,8 +66,7 @@ def words_of_other(report: NodeReport, now_s: float) -> Words:
         return Words(
             NodeLevel.STALE, _silence(silent_s), "Start it again if it is needed.", "", False
         )
-    todo = "" if report.level is NodeLevel.OK else "Its own message says what is wrong."
-    return Words(report.level, _sentence(report.message), todo)
+    return _own_words(report)
 
 
 def compensates(state: SuiteState, now_s: float) -> bool:
@@ -160,8 +159,8 @@ def _by_state(
     calibrating: bool,
 ) -> Words:
     level, advice = report.level, find_advice(program.node, name, report.level)
-    if calibrating and name in (expected := WHILE_CALIBRATING.get(program.node, {})):
-        level, advice = NodeLevel.OK, expected[name]
+    if calibrating and (program, name) == (GRAVCOMP, "does_not_fit"):
+        level, advice = NodeLevel.OK, FIT_NOT_JUDGED
     if advice is None:
         return _own_words(report)
     tool = report.values.get("tool", "") or ("" if active_tool is None else active_tool.tool)

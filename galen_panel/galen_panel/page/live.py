@@ -28,7 +28,6 @@ from galen_panel.history import (
     StreamSeries,
     bucket_ns,
     csv,
-    file_name,
 )
 from galen_panel.page.arm import ArmView
 from galen_panel.page.page import Page
@@ -139,16 +138,13 @@ class Plots:
                 'data-testid=plot role=img aria-label="Forces, torques and deflection over time;'
                 ' their size is written beside each axis"'
             )
-            for heading in headings():
-                place = f"left:{heading.left};top:{heading.top_px}px"
+            for axis, unit, place in headings():
                 with ui.row(wrap=False).classes("live-heading").style(place):
-                    ui.label(heading.axis).classes("live-axis")
-                    number = ui.label("–").classes("live-mean")
-                    number.props(f"data-testid=mean-{heading.axis}")
-                    ui.label(heading.unit)
-                    raw = ui.label().classes("live-raw")
-                    raw.props(f"data-testid=mean-raw-{heading.axis}")
-                self._means[heading.axis] = (number, raw)
+                    ui.label(axis).classes("live-axis")
+                    number = ui.label("–").classes("live-mean").props(f"data-testid=mean-{axis}")
+                    ui.label(unit)
+                    raw = ui.label().classes("live-raw").props(f"data-testid=mean-raw-{axis}")
+                self._means[axis] = (number, raw)
         ui.label(
             f"Numbers: mean of the last {MEAN_S:.0f} s. Zoom: the bar below the plots, or Shift and"
             " the wheel. The CSV has every sample."
@@ -239,7 +235,8 @@ class Plots:
         finally:
             self._csv.props(remove="loading disable")
         if content is not None:
-            ui.download.content(content, file_name("wrench", "csv", datetime.now()), "text/csv")
+            name = f"galen_wrench_{datetime.now():%Y-%m-%d_%H-%M-%S}.csv"
+            ui.download.content(content, name, "text/csv")
 
     def _show_means(self) -> None:
         newest = max((series.newest_ns or 0 for series in self._series), default=0)

@@ -7,7 +7,7 @@ plot is room for a heading that the page writes; `HEADINGS` says where.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from galen_model.arm.galen import WRENCH_AXES
@@ -34,15 +34,6 @@ DEFLECTION_NAMES = ("x", "y", "z", "size")
 _DASHES = ("solid", "dashed", "dotted", "solid")
 
 
-class Heading(NamedTuple):
-    """Where a plot's heading goes: left as in CSS, top in px."""
-
-    axis: str
-    unit: str
-    left: str
-    top_px: int
-
-
 def wrench_curves(values: Array) -> Array:
     """Turn wrenches (n, 6) in N and N·m into N and mN·m."""
     return np.round(values * [1, 1, 1, 1e3, 1e3, 1e3], 4)
@@ -54,19 +45,17 @@ def deflection_curves(values: Array) -> Array:
     return np.round(1e3 * np.column_stack([values[:, :3], sizes]), 5)
 
 
-def headings() -> list[Heading]:
-    """Return the headings of the six axes, then of the tip."""
+def headings() -> list[tuple[str, str, str]]:
+    """Return axis, unit and place (CSS) of the headings of the six axes, then of the tip."""
+    left = f"left:{_LEFT_PX}px"
+    forces = [(axis, "N", left) for axis in WRENCH_AXES[:3]]
+    torques = [(axis, "mN·m", f"left:{_RIGHT_COLUMN}") for axis in WRENCH_AXES[3:]]
+    rows = (0, 1, 2, 0, 1, 2, 3)
     return [
-        *(
-            Heading(
-                axis,
-                "N" if row < 3 else "mN·m",
-                f"{_LEFT_PX}px" if row < 3 else _RIGHT_COLUMN,
-                _top(row % 3),
-            )
-            for row, axis in enumerate(WRENCH_AXES)
-        ),
-        Heading("tip", "mm", f"{_LEFT_PX}px", _top(3)),
+        (axis, unit, f"{place};top:{_top(row)}px")
+        for (axis, unit, place), row in zip(
+            [*forces, *torques, ("tip", "mm", left)], rows, strict=True
+        )
     ]
 
 
