@@ -177,16 +177,6 @@ class Drift:
     distance: Array
     angle: Array
 
-    @property
-    def end_m(self) -> float:
-        """Distance at the end of the trajectory, m."""
-        return float(self.distance[-1])
-
-    @property
-    def largest_m(self) -> float:
-        """Largest distance, m."""
-        return float(self.distance.max())
-
 
 def measure_drift(arm: ArmClient, tip_m: Array, progress: Progress) -> tuple[Drift, Drift]:
     """Drift with compensation off, then on; the tool's tip (3,) in ft_sensor.
