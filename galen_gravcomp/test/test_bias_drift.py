@@ -153,22 +153,6 @@ def test_limit_freezes_warns_and_a_tare_begins_anew(monkeypatch):
     assert bias_drift.state is BiasDriftState.LEARNING
 
 
-def test_switching_off_ramps_and_clearing_forgets():
-    watched = Watched()
-    watched.arm.drift_per_h = np.array([0.6, 0.0, 0.0, 0.0, 0.0, 0.0])
-    watched.arm.hold(100.0)
-    taken = watched.bias_drift.settled.copy()
-    assert taken[0] > 0.01
-    watched.bias_drift.set_enabled(False)
-    watched.change()
-    watched.arm.hold(2.0)
-    steps = np.abs(np.diff(watched.taken, axis=0))[:, 0]
-    assert steps.max() <= 1.01 * 1.5 * taken[0] * watched.arm.period_s
-    assert not watched.taken[-1].any()
-    assert not watched.bias_drift.active
-    assert watched.bias_drift.state is BiasDriftState.OFF
-
-
 @pytest.mark.slow
 def test_a_tare_does_not_count_twice_and_nothing_jumps():
     compensator = Compensator(GravcompParameters(bias_drift=True, calibration_monitor=False))

@@ -35,14 +35,6 @@ def test_white_noise_and_random_walk_have_their_analytic_deviations():
     assert ramp.ramp == pytest.approx(0.5, rel=1e-3)
 
 
-def test_gaps_leave_out_the_pairs_that_need_them():
-    cells = np.ones(1000)
-    cells[400:420] = np.nan
-    cells[420:] = 3.0
-    one = allan_deviation(cells, 1.0)
-    assert one.deviation[0] < 1e-12  # nothing is beside the gap
-
-
 def test_an_arm_that_moves_between_its_stops_hides_neither_noise_nor_walk():
     """Two of six cells missing, over and over, as where it holds for 4 s and moves for 2 s."""
     rng = np.random.default_rng(4)

@@ -1,10 +1,11 @@
 """`evaluate BAG...` as a user types it."""
 
 import json
+import pickle
 import re
 
 import pytest
-from galen_bags.many import distinct_names
+from galen_gravcomp.evaluate.bag import BagJob
 from galen_gravcomp.evaluate.command import main
 from galen_model.files.calibration_file import write_calibration
 from gravcomp_bags import Recording, tool_file
@@ -45,20 +46,6 @@ def test_one_bag_gives_a_report_a_picture_and_a_bag(archive, tmp_path, capsys):
     assert main([str(tmp_path / "out" / "sweep_compensated"), "--tool", str(tool)]) == 0
 
 
-def test_a_picture_that_could_not_be_finished_leaves_nothing(
-    archive, tmp_path, monkeypatch, capsys
-):
-    def fail(self, path, **options):
-        path.write_bytes(b"half a picture")
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("matplotlib.figure.Figure.savefig", fail)
-    bag, tool = archive / "monday" / "sweep", archive / "monday" / "retractor.json"
-    assert main([str(bag), "--tool", str(tool), "--plots", str(tmp_path / "plots")]) == 1
-    assert "No space left on device" in capsys.readouterr().err
-    assert list((tmp_path / "plots").iterdir()) == []
-
-
 def test_json_is_one_object_that_a_program_can_read(archive, capsys):
     bag, tool = archive / "monday" / "sweep", archive / "monday" / "retractor.json"
     assert main([str(bag), "--tool", str(tool), "--json"]) == 0
@@ -88,19 +75,10 @@ def test_a_folder_gives_one_table_and_a_broken_bag_does_not_stop_the_rest(archiv
     assert "broken" in out
 
 
-@pytest.mark.slow
-def test_bags_in_parallel_give_what_they_give_one_by_one(archive, tmp_path, capsys):
-    good = [str(archive / name / "sweep") for name in ("monday", "tuesday", "friday")]
-    arguments = [*good, "--tool-beside", "retractor.json", "--json"]
-    assert main([*arguments, "--workers", "1"]) == 0
-    alone = json.loads(capsys.readouterr().out)
-    assert main([*arguments, "--workers", "2", "--plots", str(tmp_path)]) == 0
-    assert json.loads(capsys.readouterr().out) == alone
-    assert sorted(path.name for path in tmp_path.iterdir()) == [
-        "friday_sweep_evaluation.png",
-        "monday_sweep_evaluation.png",
-        "tuesday_sweep_evaluation.png",
-    ]
+def test_a_job_can_be_sent_to_another_process(archive):
+    folder = archive / "monday"
+    job = BagJob(tool=folder / "retractor.json")
+    assert pickle.loads(pickle.dumps(job))(folder / "sweep") == job(folder / "sweep")
 
 
 @pytest.mark.parametrize(
@@ -160,17 +138,3 @@ def test_joints_that_are_not_there_are_said_as_the_node_says_it(archive, tmp_pat
     assert "joint state lacks roll, tilt; it has a, b, c, d, e" in out.replace("\n", " ")
     assert main([str(tmp_path / "bag"), "--tool", tool, "--joint-names", "a,b,c,d,e"]) == 0
     assert "the file fits" in capsys.readouterr().out
-
-
-def test_a_namespace_needs_no_option(archive, tmp_path, capsys):
-    Recording(tool_file(), poses=6).write(tmp_path / "bag", namespace="left/")
-    tool = str(archive / "monday" / "retractor.json")
-    assert main([str(tmp_path / "bag"), "--tool", tool, "--json"]) == 0
-    topics = json.loads(capsys.readouterr().out)["topics"]
-    assert topics == {"joint_states": "/left/joint_states", "wrench_raw": "/left/wrench_raw"}
-
-
-def test_names_differ_by_as_much_of_the_path_as_is_needed(tmp_path):
-    paths = [tmp_path / "a" / "sweep", tmp_path / "b" / "sweep", tmp_path / "b" / "push.mcap"]
-    assert list(distinct_names(paths).values()) == ["a_sweep", "b_sweep", "b_push"]
-    assert distinct_names(paths[:1]) == {paths[0]: "sweep"}

@@ -343,54 +343,6 @@ def test_new_driver_starts_from_nothing(bench: Bench) -> None:
     assert values["tare_force_n"] == "0 0 0"
 
 
-def second(harness: Harness, tools_dir: Path, *words: str) -> GravcompNode:
-    """Another compensator, with another tool."""
-    return harness.add(
-        lambda context: GravcompNode(
-            context=context,
-            parameter_overrides=parameters(tools_dir=str(tools_dir), tool="retractor", late_s=0.0),
-            cli_args=["--ros-args", *words],
-        )
-    )
-
-
-def test_two_compensators_on_one_topic_are_both_silent(bench: Bench, tools_dir: Path) -> None:
-    """Their wrenches differ by the tools' weights, and an arm would follow both by turns."""
-    bench.expect(bench.step(PUSH), PUSH)
-    other = second(bench.harness, tools_dir, "-r", "__node:=gravcomp_2")
-    for name in ("gravcomp", "gravcomp_2"):
-        report = bench.report(
-            lambda s, v, name=name: s.name == name and v["state"] == "several_publishers",
-            f"the conflict from {name}",
-            lambda: bench.step(LEFT),
-        )
-        assert report["message"] == (
-            "nothing is published: wrench_compensated has 2 publishers (/gravcomp, /gravcomp_2):"
-            " stop all but one of them"
-        )
-    made = len(bench.listener.outputs)
-    bench.harness.wait_for(
-        lambda: bench.step(LEFT) > 0 and other._compensator.pairing.received > 100, 10.0, "wrenches"
-    )
-    assert len(bench.listener.outputs) == made
-    bench.harness.remove(other)
-    bench.running()
-    bench.expect(bench.step(LEFT), LEFT)
-
-
-def test_a_compensator_on_another_topic_is_no_conflict(bench: Bench, tools_dir: Path) -> None:
-    other = second(bench.harness, tools_dir, "-r", "wrench_compensated:=other")
-    publisher = other._publisher.topic_name
-    bench.harness.wait_for(
-        lambda: bench.listener.count_publishers(publisher) == 1, 10.0, "the other one"
-    )
-    bench.report(
-        lambda s, v: v["state"] == "compensating" and v["wrench_compensated_publishers"] == "1",
-        "one publisher of its own",
-        lambda: bench.step(LEFT),
-    )
-
-
 def test_best_effort_driver(harness: Harness, tools_dir: Path) -> None:
     bench = Bench(harness, tools_dir)
     best_effort = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)

@@ -132,33 +132,6 @@ def test_unreadable_bytes_are_named_and_forgotten(learned: list[str]) -> None:
     assert learned == [WRENCH, JOINTS] + ([WRENCH] * 4 + [JOINTS] * 4) * 2
 
 
-def with_padding(data: bytes, padding: list[range], filler: int) -> bytes:
-    changed = bytearray(data)
-    for run in padding:
-        for at in run:
-            changed[at] = filler
-    return bytes(changed)
-
-
-def test_padding_does_not_matter(learned: list[str]) -> None:
-    """What stands in it is left to the sender's chance."""
-    reader, joints = WrenchWire(), JointWire(("roll", "tilt"))
-    for filler in (0x00, 0xAA, 0xFF):
-        message = make_wrench("ft_sensor")
-        data = with_padding(serialize_message(message), [range(26, 28)], filler)
-        assert deserialize_message(data, WrenchStamped) == message
-        raw = reader.read(data)
-        assert raw.wrench == values(message)
-        answer = raw.with_wrench(np.zeros(6))
-        assert answer == data[:28] + bytes(48), "all other bytes are the sender's"
-        state = make_joints(["roll", "b", "tilt"])
-        runs = [range(17, 20), range(33, 36), range(42, 44), range(53, 56)]
-        data = with_padding(serialize_message(state), runs, filler)
-        assert deserialize_message(data, JointState) == state
-        assert joints.read(data)[1] == (state.position[0], state.position[2])
-    assert learned == [WRENCH, JOINTS]
-
-
 ORDERS = [
     ["delta_x", "delta_y", "delta_z", "roll", "tilt"],
     ["tilt", "roll"],
@@ -182,16 +155,6 @@ def test_joints_are_read_as_rclpy_does(
         assert roll == message.position[names.index("roll")]
         assert tilt == message.position[names.index("tilt")]
     assert learned == [JOINTS]
-
-
-def test_alternating_joint_publishers() -> None:
-    reader = JointWire(("roll", "tilt"))
-    for names in ORDERS * 2:
-        message = make_joints(names)
-        _, (roll, tilt) = reader.read(serialize_message(message))
-        assert (roll, tilt) == tuple(message.position[names.index(n)] for n in ("roll", "tilt"))
-        with pytest.raises(JointStateError, match="lacks roll, tilt; it has gripper"):
-            reader.read(serialize_message(make_joints(["gripper"])))
 
 
 def _short_position(message: JointState) -> None:

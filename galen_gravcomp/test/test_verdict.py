@@ -55,16 +55,6 @@ def test_stronger_gravity_in_the_file_makes_a_smaller_mass_of_the_same_weight():
     assert parts.values["load"][0] == pytest.approx(0.1, abs=1e-3)
 
 
-def test_phases_that_stand_out_are_not_in_the_rest():
-    tool = tool_file()
-    left = np.zeros((20, 6))
-    left[4, 1] = 3.0
-    parts = decompose(phases(tool, tool, left=left), tool)
-    assert np.flatnonzero(~parts.used).tolist() == [4]
-    assert parts.rms["rest"][1] < 0.01
-    assert parts.rms["offset"][1] < 0.01
-
-
 @pytest.mark.parametrize(
     ("count", "every_s", "why"),
     [(7, 20.0, "7 rest segments are too few"), (8, 20.0, ""), (20, 1.2, "the rest segments span")],
@@ -120,14 +110,3 @@ def test_what_would_not_fix_it_is_not_the_reason(offset, rest, verdict):
     besides = rest > 0.025 and verdict is Cause.OFFSET
     assert ("besides, 0.0" in sentence) == besides
     assert ("which a tare subtracts" in sentence) == (verdict is Cause.OFFSET and not besides)
-
-
-def test_a_phase_that_is_out_by_nothing_that_matters_is_not_worth_a_word():
-    tool = tool_file()
-    left = np.zeros((20, 6))
-    left[4, 0] = 0.02
-    found = phases(tool, tool, noise=0.2, left=left)
-    assert not decompose(found, tool).used[4]
-    assert "outlier" not in told(found, tool)[1]
-    left[4, 0] = 0.2
-    assert "1 of 20 rest segments: an outlier" in told(phases(tool, tool, left=left), tool)[1]
