@@ -111,14 +111,6 @@ def test_stamps_that_step_back_stay_as_they_are(tmp_path, capsys):
     assert np.all(np.isfinite(recording.joint_velocities))
 
 
-def test_tilt_goes_on_without_steps_and_stays_near_zero():
-    roll, tilt = np.full(200, 0.3), np.linspace(3.0, 9.0, 200)
-    found, lost = angles_of(3.0 * GALEN.gravity_in_sensor(np.stack([roll, tilt], axis=-1)))
-    assert found[:, 0] == pytest.approx(roll)
-    assert found[:, 1] == pytest.approx(tilt - 2 * np.pi)
-    assert not lost.any()
-
-
 def test_where_tilt_has_no_meaning_the_last_one_is_kept():
     half_pi = np.pi / 2
     roll = np.array([half_pi, half_pi, 1.5, half_pi, 1.5, -half_pi, -1.5])

@@ -158,12 +158,6 @@ def test_what_is_no_scheduler_is_named_and_not_waited_for(tmp_path, answer):
         run_many(work, make(tmp_path, "good.1"), scheduler=address, timeout_s=NOTHING_SAID)
 
 
-def test_a_worker_is_not_taken_for_a_scheduler(tmp_path, cluster):
-    address = cluster.workers[0].address
-    with pytest.raises(ClusterError, match="is a Worker, not a scheduler"):
-        run_many(work, make(tmp_path, "good.1"), scheduler=address)
-
-
 def test_a_scheduler_without_workers_is_not_waited_for(tmp_path):
     with (
         cluster_of_threads(0, tmp_path) as empty,

@@ -28,7 +28,6 @@ from bags_samples import (
     text,
 )
 from galen_bags.formats import mcap_file
-from galen_bags.formats.bag import open_bag
 from galen_bags.formats.mcap_records import zstd
 
 CDR = b"\0\1\0\0"
@@ -150,14 +149,6 @@ def test_hostile_records(file, body, words):
     found, problems = file(mcap(before, body))
     assert Sample("/w", 3, CDR) in found and len(found) <= 2
     assert any(words in problem for problem in problems), problems
-
-
-def test_channel_without_a_schema(tmp_path):
-    path = tmp_path / "bag.mcap"
-    path.write_bytes(mcap(channel(1, 0, "/a"), channel(2, 77, "/b"), message(1, 5, CDR)))
-    with open_bag(path) as bag:
-        assert [info.type_name for info in bag.topics.values()] == ["", ""]
-    assert read(path) == ([("/a", 5, CDR)], [])
 
 
 def test_damage_all_over_is_named_a_few_times(file):

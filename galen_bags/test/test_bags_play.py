@@ -263,14 +263,13 @@ def test_the_command_plays_to_the_end(started: Any, path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_a_signal_ends_it(started: Any, path: Path, number: int, code: int) -> None:
+def test_a_signal_ends_it(started: Any, path: Path) -> None:
     player = started("-m", "galen_bags.play", str(path), "--loop")
     # rclpy's own handlers are not used; ours are active before the node says a word.
     player.stderr.readline()
-    player.send_signal(number)
+    player.send_signal(signal.SIGTERM)
     out, _ = player.communicate(timeout=20.0)
-    assert player.returncode == code
+    assert player.returncode == 143
     assert "messages published" in out
 
 

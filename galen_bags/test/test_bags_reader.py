@@ -116,16 +116,6 @@ def test_overlap_beyond_the_limit_is_named(tmp_path, monkeypatch):
     assert len(problems) == 1 and "come out of order" in problems[0]
 
 
-def test_some_topics_only(tmp_path):
-    samples = arm_samples()
-    for storage in (MCAP, SQLITE):
-        path = write_rosbag2(tmp_path / storage.name, samples, storage)
-        assert read(path, ["/wrench_raw"]) == ([s for s in samples if s[0] == "/wrench_raw"], [])
-        assert read(path, []) == ([], [])
-        with open_bag(path) as bag, pytest.raises(BagError, match="no topic /x; it has /joint_st"):
-            next(bag.blocks(["/x"]))
-
-
 def test_a_topic_of_two_types_or_encodings_is_rejected_by_name(tmp_path):
     path = tmp_path / "mixed.mcap"
     described = [
@@ -219,16 +209,6 @@ def test_hostile_metadata(tmp_path, listed):
         assert found == arm_samples(3) and "metadata.yaml can't be used" in problems[0]
     else:
         assert "its file" in problems[0] and "is missing" in problems[0]
-
-
-def test_metadata_that_grows_as_it_is_read(tmp_path):
-    path = write_rosbag2(tmp_path / "bag", arm_samples(3))
-    lines = ["a0: &a0 {x: 1}"]
-    lines += [f"a{k}: &a{k} {{<<: [{', '.join([f'*a{k - 1}'] * 9)}]}}" for k in range(1, 30)]
-    lines += [f"b{k}: &b{k} [{', '.join([f'*a{k}'] * 9)}]" for k in range(30)]
-    (path / "metadata.yaml").write_text("\n".join(lines))
-    found, problems = read(path)
-    assert found == arm_samples(3) and "metadata.yaml can't be used" in problems[0]
 
 
 def test_paths_that_are_no_bags(tmp_path):

@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import signal
 import subprocess
 import time
@@ -15,7 +14,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from galen_bags.formats.bag import open_bag
 from galen_bags.formats.writer import GrowingBagWriter
 from galen_bags.record import parse
-from galen_bags.recorder import DEFAULT_TOPICS, RecorderNode, SimulatedTimes
+from galen_bags.recorder import RecorderNode, SimulatedTimes
 from galen_ros.cdr import joint_state_bytes, wrench_bytes
 from galen_ros.messages import LATCHED, STREAM
 from galen_ros.node.diagnostics import Level
@@ -374,17 +373,21 @@ def check_run_of_wrenches(found: list[bytes]) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_closes_the_bag(started: Any, tmp_path: Path, number: int) -> None:
+@pytest.mark.parametrize("limit", [(), ("--duration-s", "1")], ids=["signal", "duration"])
+def test_a_signal_or_the_duration_closes_the_bag(
+    started: Any, tmp_path: Path, limit: tuple[str, ...]
+) -> None:
     started("-c", SOURCE)
-    recorder = record(started, tmp_path / "bag", "--json")
-    wait_growing(tmp_path / "bag")
-    recorder.send_signal(number)
+    recorder = record(started, tmp_path / "bag", "--json", *limit)
+    if not limit:
+        wait_growing(tmp_path / "bag")
+        recorder.send_signal(signal.SIGTERM)
     out, err = recorder.communicate(timeout=20.0)
     assert recorder.returncode == 0, err
     result = json.loads(out)
     found = messages(tmp_path / "bag")["/wrench_raw"]
     check_run_of_wrenches(found)
+    assert result["ended_by"] == ("duration" if limit else "signal")
     assert result["messages"] == result["topics"][0]["messages"] == len(found)
     assert result["problems"] == {}
     with open_bag(tmp_path / "bag") as whole:
@@ -404,17 +407,6 @@ def test_a_kill_leaves_all_but_the_last_second(started: Any, tmp_path: Path) -> 
         blocks = list(cut.blocks(["/wrench_raw"]))
     check_run_of_wrenches([block.message(k) for block in blocks for k in range(len(block))])
     assert killed_ns - max(block.log_time_ns.max() for block in blocks) < 5 * S  # 1 s and a stall
-
-
-@pytest.mark.slow
-def test_a_duration_ends_it(started: Any, tmp_path: Path) -> None:
-    started("-c", SOURCE)
-    recorder = record(started, tmp_path / "bag", "--json", "--duration-s", "1")
-    out, err = recorder.communicate(timeout=60.0)
-    assert recorder.returncode == 0, err
-    result = json.loads(out)
-    assert result["ended_by"] == "duration"
-    assert len(messages(tmp_path / "bag")["/wrench_raw"]) == result["messages"] > 0
 
 
 @pytest.mark.slow
@@ -450,10 +442,3 @@ def test_wrong_arguments_are_said(capsys: pytest.CaptureFixture[str]) -> None:
         with pytest.raises(SystemExit, match="2"):
             parse(arguments)
         assert said in capsys.readouterr().err.splitlines()[-1]
-
-
-def test_defaults_are_the_arms_topics_and_a_name_by_the_time() -> None:
-    options = parse([])
-    assert options.topics == list(DEFAULT_TOPICS)
-    assert re.fullmatch(r"rosbag2(_\d\d\d\d)(_\d\d){2}(-\d\d)(_\d\d){2}", str(options.output))
-    assert parse(["a", "b", "a"]).topics == ["a", "b"]

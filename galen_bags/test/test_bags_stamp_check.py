@@ -52,14 +52,6 @@ def test_where_the_stamp_leaves_the_log_time_it_is_a_jump(jump_s):
     assert found.rate_hz == pytest.approx(500.0)
 
 
-def test_a_pause_of_recording_is_a_gap_and_no_jump():
-    stamps, logs = clean()
-    stamps[2000:] += 60_000_000_000
-    logs[2000:] += 60_000_000_000
-    found = report(stamps, logs)
-    assert (found.gaps, found.missing, found.jumps) == (1, 30_000, 0)
-
-
 def test_duplicates_and_samples_out_of_order():
     stamps, logs = clean()
     stamps[100] = stamps[99]
