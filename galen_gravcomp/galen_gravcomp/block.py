@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from galen_bags.arrays.arm_recording import Samples
@@ -24,7 +25,8 @@ _FEWEST_STEPS = 16
 _MOST_STEPS = 1024
 
 
-class BlockResult(NamedTuple):
+@dataclass(frozen=True)
+class BlockResult:
     """What became of the wrenches of a block, and of those that had waited before it.
 
     In the order in which they came out: index (k,), the wrench's running number by arrival over
@@ -33,11 +35,17 @@ class BlockResult(NamedTuple):
     index.
     """
 
-    index: np.ndarray = np.zeros(0, dtype=np.int64)
-    stamp_ns: np.ndarray = np.zeros(0, dtype=np.int64)
-    wrench: Array = np.zeros((0, 6))
-    angles: Array = np.zeros((0, 0))
+    index: np.ndarray
+    stamp_ns: np.ndarray
+    wrench: Array
+    angles: Array
     rejected: Sequence[Rejected] = ()
+
+    @classmethod
+    def empty(cls, angles: int) -> BlockResult:
+        """Make one of no wrench, of an arm with so many angles."""
+        none = np.zeros(0, dtype=np.int64)
+        return cls(none, none, np.zeros((0, 6)), np.zeros((0, angles)))
 
 
 def push_block(
@@ -97,7 +105,7 @@ class _Pushing:
         self._paired = all_joints if sink.pairs_positions else angles
         self._joint_usable = _all_but(joints.bad, len(joints))
         self._wrench_readable = _all_but(wrenches.bad, len(wrenches))
-        self._parts = [BlockResult(angles=np.zeros((0, len(sink.arm.turning))))]
+        self._parts = [BlockResult.empty(len(sink.arm.turning))]
         self._single: list[PairedWrench] = []
         self._rejected: list[Rejected] = []
 

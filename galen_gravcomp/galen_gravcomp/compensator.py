@@ -306,7 +306,7 @@ class Compensator:
         prediction = self._prediction
         taring = self._window is not None or self._ramp.ramping
         if not self._enabled or prediction is None or taring or self._one_by_one:
-            return 0, BlockResult()
+            return 0, BlockResult.empty(len(self.arm.turning))
         paired = self.pairing.push_run(arrivals)
         self.compensated += len(paired.number)
         self.pushed_as_arrays += paired.taken

@@ -122,8 +122,14 @@ class ChannelCheck:
                 at_end = run.value in ends and ends[0] != ends[1]
                 beyond = abs(run.value) >= self._range[axis]
                 (saturated if at_end or beyond else stuck).append(run)
-        found = (_longest_first(runs) for runs in (stuck, saturated, frozen))
-        return ChannelReport(self._beyond, self._not_finite, *found, held)
+        return ChannelReport(
+            self._beyond,
+            self._not_finite,
+            _longest_first(stuck),
+            _longest_first(saturated),
+            _longest_first(frozen),
+            held,
+        )
 
 
 class _Runs:
