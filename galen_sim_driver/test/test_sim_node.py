@@ -21,7 +21,6 @@ from galen_ros.messages import (
     wrench_to_array,
 )
 from galen_ros.node.testing import Harness, parameters
-from galen_ros.parameters import ParameterError
 from galen_sim_driver.node import SimDriverNode, main
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.node import Node
@@ -445,18 +444,3 @@ def test_pushes_on_request_along_the_axes_of_base_link(harness):
         answer = cell.call(push, bad)
         assert (answer.success, answer.error_code) == (False, PushTool.Response.BAD_INPUT)
         assert answer.error_msg
-
-
-def test_a_bad_parameter_ends_the_start_with_its_name(harness):
-    with pytest.raises(ParameterError, match="speed_factor"):
-        harness.add(
-            lambda context: SimDriverNode(
-                context=context, parameter_overrides=parameters(speed_factor=-1.0)
-            )
-        )
-    with pytest.raises(ParameterError, match="initial_tool"):
-        harness.add(
-            lambda context: SimDriverNode(
-                context=context, parameter_overrides=parameters(initial_tool="knife")
-            )
-        )

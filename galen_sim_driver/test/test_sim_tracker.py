@@ -62,13 +62,6 @@ def test_markers_are_where_the_configuration_puts_them():
     assert np.allclose(of_marker(sample.tool), expected, atol=1e-12)
 
 
-def test_there_is_no_tool_marker_without_a_tool():
-    plant = make_plant(**QUIET)
-    plant.attach_tool("")
-    sample = look(plant)
-    assert sample.tool is None and sample.base is not None
-
-
 @pytest.mark.parametrize("frame", ["base", "tip"])
 @pytest.mark.parametrize(
     ("force", "torque"),

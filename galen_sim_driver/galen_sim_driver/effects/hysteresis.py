@@ -277,13 +277,13 @@ class DeflectionHysteresis(Effect):
     `vector` holds the fraction with its side's sign, and the knee.
     """
 
-    name: ClassVar[str] = "deflection_hysteresis"
-    fitted: ClassVar[tuple[Fitted, ...]] = (
+    name = "deflection_hysteresis"
+    fitted = (
         Fitted("signed_fraction", "", 0.05, -0.5, 0.5),
         Fitted("knee", "", 0.15, 0.02, 2.0),
         Fitted("softness", "", 0.1, -0.5, 2.0),
     )
-    beyond_contract: ClassVar[tuple[str, ...]] = ("side", "form", "knee", "softness", "restarts")
+    beyond_contract = ("side", "form", "knee", "softness", "restarts")
 
     residual_fraction: float = param(
         0.0, "deflection left after the largest load, over that at that load", 0.0, 0.5

@@ -66,7 +66,7 @@ from galen_sim_driver.effects.effect import (
 
 @dataclass(frozen=True)
 class _RotaryEffect(Effect):
-    of_a_joint: ClassVar[bool] = True
+    of_a_joint = True
 
     joint: str = param("tilt", "the joint: roll tilt")
 
@@ -78,9 +78,9 @@ class _RotaryEffect(Effect):
 class JointZeroOffset(_RotaryEffect):
     """true angle of `joint` = reported + `offset_rad`."""
 
-    name: ClassVar[str] = "joint_zero_offset"
-    fitted: ClassVar[tuple[Fitted, ...]] = (Fitted("offset_rad", "rad", 0.01, -0.5, 0.5),)
-    order: ClassVar[int] = 1
+    name = "joint_zero_offset"
+    fitted = (Fitted("offset_rad", "rad", 0.01, -0.5, 0.5),)
+    order = 1
 
     offset_rad: float = param(0.0, "true angle minus the reported one, rad", -0.5, 0.5)
 
@@ -94,8 +94,8 @@ class JointZeroOffset(_RotaryEffect):
 class JointGain(_RotaryEffect):
     """true angle of `joint` = (1 + `gain`) reported."""
 
-    name: ClassVar[str] = "joint_gain"
-    fitted: ClassVar[tuple[Fitted, ...]] = (Fitted("gain", "", 0.02, -0.5, 0.5),)
+    name = "joint_gain"
+    fitted = (Fitted("gain", "", 0.02, -0.5, 0.5),)
 
     gain: float = param(0.0, "true angle over the reported one, minus 1", -0.5, 0.5)
 
@@ -112,8 +112,8 @@ _ABOUT = {"x": rot_x, "y": rot_y, "z": rot_z}
 class JointAxisMisalignment(_RotaryEffect):
     """The axis of `joint` is turned by `angle_rad` about an axis of its parent link."""
 
-    name: ClassVar[str] = "joint_axis_misalignment"
-    fitted: ClassVar[tuple[Fitted, ...]] = (Fitted("angle_rad", "rad", 0.02, -0.5, 0.5),)
+    name = "joint_axis_misalignment"
+    fitted = (Fitted("angle_rad", "rad", 0.02, -0.5, 0.5),)
 
     about: str = param("z", "axis of the parent link that it is turned about: x y z")
     angle_rad: float = param(0.0, "by how much it is turned, rad", -0.5, 0.5)
@@ -134,8 +134,8 @@ class JointAxisMisalignment(_RotaryEffect):
 class BaseInclination(Effect):
     """Gravity in base_link is (Rx(`about_x_rad`) Ry(`about_y_rad`))^T (0, 0, -g)."""
 
-    name: ClassVar[str] = "base_inclination"
-    fitted: ClassVar[tuple[Fitted, ...]] = (
+    name = "base_inclination"
+    fitted = (
         Fitted("about_x_rad", "rad", 0.01, -0.5, 0.5),
         Fitted("about_y_rad", "rad", 0.01, -0.5, 0.5),
     )
@@ -162,8 +162,8 @@ class JointCompliance(Effect):
     `vector` holds k_nominal / k - 1 of roll, tilt, carriages and rods, in this order.
     """
 
-    name: ClassVar[str] = "joint_compliance"
-    fitted: ClassVar[tuple[Fitted, ...]] = tuple(map(_softer, _SPRINGS))
+    name = "joint_compliance"
+    fitted = tuple(map(_softer, _SPRINGS))
     contract_names: ClassVar[Mapping[str, str]] = {name: f"stiffness.{name}" for name in _SPRINGS}
 
     roll: float = param(0.0, "stiffness of the roll joint, 0 for the nominal one, Nm/rad", 0.0)
@@ -212,13 +212,13 @@ class _Memory:
 class Backlash(Effect):
     """`joint` has a gap of `gap_rad`; of a sliding joint, in m."""
 
-    name: ClassVar[str] = "backlash"
-    fitted: ClassVar[tuple[Fitted, ...]] = (
+    name = "backlash"
+    fitted = (
         Fitted("gap_rad", "rad", 0.002, 0.0, 0.2),
         Fitted("start", "", 1.0, -1.0, 1.0),
         Fitted("seat", "", 2.0, 0.1, 30.0),
     )
-    beyond_contract: ClassVar[tuple[str, ...]] = ("start", "seat")
+    beyond_contract = ("start", "seat")
 
     joint: str = param("tilt", "the joint with the gap: delta_x delta_y delta_z roll tilt")
     gap_rad: float = param(0.0, "the gap, rad; of a sliding joint in m", 0.0, 0.2)

@@ -59,8 +59,8 @@ from galen_sim_driver.effects.effect import ConfigError, Effect, Fitted, Instant
 class ToolMassError(Effect):
     """true mass = file's + `delta_kg`."""
 
-    name: ClassVar[str] = "tool_mass_error"
-    fitted: ClassVar[tuple[Fitted, ...]] = (Fitted("delta_kg", "kg", 0.005, -1.0, 5.0),)
+    name = "tool_mass_error"
+    fitted = (Fitted("delta_kg", "kg", 0.005, -1.0, 5.0),)
 
     delta_kg: float = param(
         0.0, "how much the tool weighs more than its number says, kg", -1.0, 5.0
@@ -74,8 +74,8 @@ class ToolMassError(Effect):
 class ToolComError(Effect):
     """true centre = file's + `delta_m`, in ft_sensor."""
 
-    name: ClassVar[str] = "tool_com_error"
-    fitted: ClassVar[tuple[Fitted, ...]] = (Fitted("delta_m", "m", 0.003, -0.5, 0.5, 3),)
+    name = "tool_com_error"
+    fitted = (Fitted("delta_m", "m", 0.003, -0.5, 0.5, 3),)
 
     delta_m: tuple[float, ...] = param(
         (0.0,) * 3,
@@ -92,8 +92,8 @@ class ToolComError(Effect):
 class LooseTool(Effect):
     """The tool's centre moves by `shift_m` times x and y of gravity's direction."""
 
-    name: ClassVar[str] = "loose_tool"
-    fitted: ClassVar[tuple[Fitted, ...]] = (Fitted("shift_m", "m", 0.003, -0.2, 0.2),)
+    name = "loose_tool"
+    fitted = (Fitted("shift_m", "m", 0.003, -0.2, 0.2),)
 
     shift_m: float = param(
         0.0,
@@ -109,10 +109,10 @@ class LooseTool(Effect):
 class InertialLoad(Effect):
     """`mass_kg` accelerates with the sensor, tool and adapter together."""
 
-    name: ClassVar[str] = "inertial_load"
-    fitted: ClassVar[tuple[Fitted, ...]] = (Fitted("mass_kg", "kg", 0.15, 0.0, 5.0),)
-    needs_motion: ClassVar[bool] = True
-    beyond_contract: ClassVar[tuple[str, ...]] = ("own_inertia_kg_m2",)
+    name = "inertial_load"
+    fitted = (Fitted("mass_kg", "kg", 0.15, 0.0, 5.0),)
+    needs_motion = True
+    beyond_contract = ("own_inertia_kg_m2",)
 
     mass_kg: float = param(0.0, "mass of tool and adapter that accelerates, kg", 0.0, 5.0)
     own_inertia_kg_m2: tuple[float, ...] = param(
@@ -173,8 +173,8 @@ class CableDrag(Effect):
     their defaults, which say where a cable usually is.
     """
 
-    name: ClassVar[str] = "cable_drag"
-    fitted: ClassVar[tuple[Fitted, ...]] = (
+    name = "cable_drag"
+    fitted = (
         Fitted("tension_n", "N", 0.2, 0.0, 50.0),
         Fitted("anchor_m", "m", 0.5, -5.0, 5.0, 3),
         Fitted("attachment_m", "m", 0.06, -0.5, 0.5, 3),
@@ -182,7 +182,7 @@ class CableDrag(Effect):
         Fitted("bending_nm", "N.m", 0.005, -1.0, 1.0),
     )
     contract_names: ClassVar[Mapping[str, str]] = {"tension_n": "tension_N"}
-    beyond_contract: ClassVar[tuple[str, ...]] = (
+    beyond_contract = (
         "anchor_m",
         "attachment_m",
         "stretch_per_m",

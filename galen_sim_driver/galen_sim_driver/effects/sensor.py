@@ -40,9 +40,9 @@ from galen_sim_driver.effects.effect import (
 class SensorMountRotation(Effect):
     """reading = exp(`rotvec_rad`)^T of force and of torque."""
 
-    name: ClassVar[str] = "sensor_mount_rotation"
-    fitted: ClassVar[tuple[Fitted, ...]] = (Fitted("rotvec_rad", "rad", 0.01, -0.5, 0.5, 3),)
-    order: ClassVar[int] = 0
+    name = "sensor_mount_rotation"
+    fitted = (Fitted("rotvec_rad", "rad", 0.01, -0.5, 0.5, 3),)
+    order = 0
 
     rotvec_rad: tuple[float, ...] = param(
         (0.0,) * 3,
@@ -72,9 +72,9 @@ def _turned(wrench: Array, matrix: Array) -> Array:
 class AxisGain(Effect):
     """reading_k = (1 + gain_k) true_k."""
 
-    name: ClassVar[str] = "axis_gain"
-    fitted: ClassVar[tuple[Fitted, ...]] = (Fitted("gain", "", 0.03, -0.9, 2.0, 6),)
-    order: ClassVar[int] = 1
+    name = "axis_gain"
+    fitted = (Fitted("gain", "", 0.03, -0.9, 2.0, 6),)
+    order = 1
 
     gain: tuple[float, ...] = param(
         (0.0,) * 6, "what each axis of the sensor reads too much of itself, fx to tz", -0.9, 2.0
@@ -91,9 +91,9 @@ class AxisGain(Effect):
 class Crosstalk(Effect):
     """reading of `to_axis` += `coefficient` times the true `from_axis`; fx fy fz tx ty tz."""
 
-    name: ClassVar[str] = "crosstalk"
-    fitted: ClassVar[tuple[Fitted, ...]] = (Fitted("coefficient", "", 0.02, -2.0, 2.0),)
-    order: ClassVar[int] = 2
+    name = "crosstalk"
+    fitted = (Fitted("coefficient", "", 0.02, -2.0, 2.0),)
+    order = 2
     contract_names: ClassVar[Mapping[str, str]] = {"from_axis": "from", "to_axis": "to"}
 
     from_axis: str = param("fz", "the axis that another one sees some of: fx fy fz tx ty tz")
@@ -135,12 +135,10 @@ class _Additive(Effect):
 class BiasStep(_Additive):
     """`step` from `time_s` on, since the first stamp of `bag`."""
 
-    name: ClassVar[str] = "bias_step"
-    fitted: ClassVar[tuple[Fitted, ...]] = (
-        Fitted("step", "", (0.3, 0.3, 0.3, 0.01, 0.01, 0.01), -50.0, 50.0, 6),
-    )
-    order: ClassVar[int] = 4
-    recording_only: ClassVar[tuple[str, ...]] = ("bag",)
+    name = "bias_step"
+    fitted = (Fitted("step", "", (0.3, 0.3, 0.3, 0.01, 0.01, 0.01), -50.0, 50.0, 6),)
+    order = 4
+    recording_only = ("bag",)
 
     time_s: float = param(0.0, "when the reading jumps, since the start, s", minimum=0.0)
     step: tuple[float, ...] = param((0.0,) * 6, "how far it jumps, and stays, N and Nm")
@@ -165,8 +163,8 @@ class BiasStep(_Additive):
 class WrenchDelay(Effect):
     """A wrench's stamp is `delay_s` later than its measurement."""
 
-    name: ClassVar[str] = "wrench_delay"
-    fitted: ClassVar[tuple[Fitted, ...]] = (Fitted("delay_s", "s", 0.01, -0.2, 0.2),)
+    name = "wrench_delay"
+    fitted = (Fitted("delay_s", "s", 0.01, -0.2, 0.2),)
 
     delay_s: float = param(
         0.0, "a wrench's stamp is so much later than its measurement, s", -0.2, 0.2
@@ -182,10 +180,10 @@ class WrenchDelay(Effect):
 class SensorSaturation(Effect):
     """`axis` reads nothing beyond +- `limit`; 0 for none. Clipping can't be undone."""
 
-    name: ClassVar[str] = "sensor_saturation"
-    fitted: ClassVar[tuple[Fitted, ...]] = (Fitted("limit", "", 5.0, 1e-4, 1e3),)
-    order: ClassVar[int] = 5
-    after_noise: ClassVar[bool] = True
+    name = "sensor_saturation"
+    fitted = (Fitted("limit", "", 5.0, 1e-4, 1e3),)
+    order = 5
+    after_noise = True
 
     limit: float = param(
         0.0, "largest reading of an axis that clips, N or Nm; 0 for none", minimum=0.0
@@ -211,12 +209,10 @@ _HOUR_S = 3600.0
 class SensorDrift(_Additive):
     """A drift of `rate_per_hour`, or through `levels` (k, 6), row by row, at `knots_s` (k,)."""
 
-    name: ClassVar[str] = "sensor_drift"
-    fitted: ClassVar[tuple[Fitted, ...]] = (
-        Fitted("rate_per_hour", "1/h", (1.0, 1.0, 1.0, 0.02, 0.02, 0.02), -1e3, 1e3, 6),
-    )
-    order: ClassVar[int] = 3
-    beyond_contract: ClassVar[tuple[str, ...]] = ("knots_s", "levels")
+    name = "sensor_drift"
+    fitted = (Fitted("rate_per_hour", "1/h", (1.0, 1.0, 1.0, 0.02, 0.02, 0.02), -1e3, 1e3, 6),)
+    order = 3
+    beyond_contract = ("knots_s", "levels")
 
     rate_per_hour: tuple[float, ...] = param(
         (0.0,) * 6,

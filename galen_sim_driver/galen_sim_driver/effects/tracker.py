@@ -11,7 +11,6 @@ the axes of base_link, once during `push`, and stays there; arm and tracker stay
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 from galen_model.arrays import Array
@@ -24,8 +23,8 @@ from galen_sim_driver.effects.effect import Effect, Fitted, Instants
 class TrackerDelay(Effect):
     """A tracker's stamp is `delay_s` later than its measurement."""
 
-    name: ClassVar[str] = "tracker_delay"
-    fitted: ClassVar[tuple[Fitted, ...]] = (Fitted("delay_s", "s", 0.02, -0.3, 0.3),)
+    name = "tracker_delay"
+    fitted = (Fitted("delay_s", "s", 0.02, -0.3, 0.3),)
 
     delay_s: float = param(
         0.0, "a tracker's stamp is so much later than its measurement, s", -0.3, 0.3
@@ -41,8 +40,8 @@ class TrackerDelay(Effect):
 class TrackerScale(Effect):
     """Positions of both markers in the tracker's frame are (1 + `gain`) times true."""
 
-    name: ClassVar[str] = "tracker_scale"
-    fitted: ClassVar[tuple[Fitted, ...]] = (Fitted("gain", "", 0.003, -0.5, 1.0),)
+    name = "tracker_scale"
+    fitted = (Fitted("gain", "", 0.003, -0.5, 1.0),)
 
     gain: float = param(
         0.0, "how much too long the tracker's lengths are, as a fraction", -0.5, 1.0
@@ -62,8 +61,8 @@ class BaseShift(Effect):
     The time is none of the fitted numbers: what is seen jumps with it.
     """
 
-    name: ClassVar[str] = "base_shift"
-    fitted: ClassVar[tuple[Fitted, ...]] = (
+    name = "base_shift"
+    fitted = (
         Fitted("translation_m", "m", 0.001, -1.0, 1.0, 3),
         Fitted("rotvec_rad", "rad", 0.003, -1.5, 1.5, 3),
     )
