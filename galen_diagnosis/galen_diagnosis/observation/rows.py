@@ -197,7 +197,7 @@ class Phases(NamedTuple):
 def phases(arm: Arm, at_s: Array, joint_s: Array, joints: Array) -> Phases:
     """Return phases at times at_s (n,), by the reported joints (nj, ...) at joint_s (nj,)."""
     velocity, acceleration = (_at(at_s, joint_s, part) for part in rates(joint_s, joints))
-    still = (np.abs(velocity) < _by_unit(arm, _STILL_RAD_S, _STILL_M_S)).all(axis=1)
+    still = np.asarray(np.all(np.abs(velocity) < _by_unit(arm, _STILL_RAD_S, _STILL_M_S), axis=1))
     cuts = (np.diff(at_s) > _GAP_S) | (np.diff(still.astype(np.int8)) != 0)
     stretch = np.concatenate([[0], np.cumsum(cuts)])
     starts = np.flatnonzero(np.concatenate([[True], cuts]))
