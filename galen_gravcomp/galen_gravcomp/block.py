@@ -168,10 +168,14 @@ class _Pushing:
     def result(self) -> BlockResult:
         """Return what came out of the whole block."""
         self._flush()
-        arrays = (
-            np.concatenate(parts) for parts in zip(*(p[:4] for p in self._parts), strict=True)
+        parts = self._parts
+        return BlockResult(
+            np.concatenate([part.index for part in parts]),
+            np.concatenate([part.stamp_ns for part in parts]),
+            np.concatenate([part.wrench for part in parts]),
+            np.concatenate([part.angles for part in parts]),
+            self._rejected,
         )
-        return BlockResult(*arrays, self._rejected)
 
     def _go_on(self, count: int) -> None:
         w = int(np.count_nonzero(self._is_wrench[self.at : self.at + count]))

@@ -72,8 +72,9 @@ class Compensator:
         self.monitor = CalibrationMonitor(limits, arm) if p.calibration_monitor else None
         """Checks whether the calibration file fits."""
         self.pairing = WrenchPairing(p, self._forget_driver, awaited=self.motion)
-        self._enabled = True
-        self._tool: CalibrationFile | None = None
+        self.enabled = True
+        self.tool: CalibrationFile | None = None
+        """The active tool; `set_tool` changes it."""
         self._prediction: Prediction | None = None
         self.cable: CablePull | None = None
         """The cable that the tool's file describes."""
@@ -86,16 +87,6 @@ class Compensator:
         """Samples of both topics that `push_block` did not have to push one by one."""
 
     # State
-
-    @property
-    def enabled(self) -> bool:
-        """Whether wrenches are compensated at all."""
-        return self._enabled
-
-    @property
-    def tool(self) -> CalibrationFile | None:
-        """The active tool."""
-        return self._tool
 
     @property
     def needs_positions(self) -> bool:
@@ -137,9 +128,9 @@ class Compensator:
 
     def set_enabled(self, enabled: bool) -> list[Result]:
         """Switch on or off; off rejects what waits, ends a running tare, keeps its offset."""
-        if enabled == self._enabled:
+        if enabled == self.enabled:
             return []
-        self._enabled = enabled
+        self.enabled = enabled
         if not enabled:
             self.cancel_tare("compensation was switched off")
         return [*self._update_bar()]
@@ -153,7 +144,7 @@ class Compensator:
         """
         self.cancel_tare("the tool was changed")
         self._ramp.reset()
-        self._tool = tool
+        self.tool = tool
         self._prediction = None if tool is None else Prediction(tool, self.arm)
         self._no_tool_detail = why_none
         own_frame = "" if tool is None else tool.sensor_frame
@@ -168,8 +159,8 @@ class Compensator:
 
     def rename_tool(self, name: str) -> None:
         """Call the active tool by another name; nothing else changes, the tare stays."""
-        assert self._tool is not None
-        self._tool = replace(self._tool, tool=name)
+        assert self.tool is not None
+        self.tool = replace(self.tool, tool=name)
 
     # Tare
 
@@ -178,9 +169,9 @@ class Compensator:
 
         Raises TareRejectedError when there is nothing to tare.
         """
-        if not self._enabled:
+        if not self.enabled:
             raise TareRejectedError("not tared: compensation is switched off")
-        if self._tool is None:
+        if self.tool is None:
             raise TareRejectedError(f"not tared: {self._no_tool_detail}")
         if self._window is not None:
             raise TareRejectedError("not tared: a tare is already running")
@@ -250,9 +241,9 @@ class Compensator:
 
     def _update_bar(self) -> list[Rejected]:
         """Have all wrenches rejected while it is off or without a tool."""
-        if not self._enabled:
+        if not self.enabled:
             return self.pairing.bar(Rejection.DISABLED, "compensation is switched off")
-        if self._tool is None:
+        if self.tool is None:
             return self.pairing.bar(Rejection.NO_TOOL, self._no_tool_detail)
         self.pairing.unbar()
         return []
@@ -305,7 +296,7 @@ class Compensator:
         """Push the regular samples at the start of `arrivals`, none during a tare; how many."""
         prediction = self._prediction
         taring = self._window is not None or self._ramp.ramping
-        if not self._enabled or prediction is None or taring or self._one_by_one:
+        if not self.enabled or prediction is None or taring or self._one_by_one:
             return 0, BlockResult.empty(len(self.arm.turning))
         paired = self.pairing.push_run(arrivals)
         self.compensated += len(paired.number)

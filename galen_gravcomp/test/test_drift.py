@@ -7,9 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from galen_gravcomp.evaluate.command import main
-from galen_gravcomp.evaluate.drift import judge_drift
+from galen_gravcomp.evaluate.drift import allan_deviation, judge_drift
 from galen_gravcomp.evaluate.drift_series import series_of
-from galen_gravcomp.evaluate.drift_statistics import allan_deviation, score_forecasts
 from galen_model.errors import GalenError
 from galen_model.evidence.verdict import Limits
 from galen_model.rest.binned import CellReducer, Cells
@@ -45,37 +44,6 @@ def test_an_arm_that_moves_between_its_stops_hides_neither_noise_nor_walk():
     assert found.walk == pytest.approx(0.003, rel=0.15)
     assert found.white == pytest.approx(0.02, rel=0.05)
     assert np.all(allan_deviation(np.zeros(100), 1.0).deviation == 0.0)
-
-
-def minutes(kind, rng, hours=72.0):
-    """Means of a minute (n, 3) of a known truth."""
-    count = int(60 * hours)
-    hour = np.arange(count)[:, None] / 60.0
-    white = 3e-4 * rng.standard_normal((count, 3))
-    walk = np.cumsum(rng.standard_normal((count, 3)), axis=0) / np.sqrt(60.0)
-    return {
-        "white": white,
-        "walk": white + 0.1 * walk,
-        "trend": white + 0.03 * walk + 0.2 * hour,
-        "day": white + 0.03 * walk + 0.3 * np.sin(2.0 * np.pi * hour / 24.0),
-    }[kind]
-
-
-@pytest.mark.parametrize("kind", ["white", "walk"])
-def test_what_nobody_can_foretell_is_not_called_predictable(kind):
-    for seed in range(2):
-        scores = score_forecasts(minutes(kind, np.random.default_rng(seed), 36.0), 60.0)
-        assert len(scores) == 5
-        assert not any(score.predictable for score in scores)
-
-
-@pytest.mark.parametrize(("kind", "teller", "skill"), [("trend", "line", 0.9), ("day", "day", 0.7)])
-def test_a_trend_and_a_day_seen_before_are_predictable(kind, teller, skill):
-    scores = score_forecasts(minutes(kind, np.random.default_rng(0)), 60.0)
-    at_six = scores[-1]
-    assert at_six.predictable
-    assert at_six.skill > skill
-    assert at_six.rmse[teller] < at_six.rmse["last"]
 
 
 def no_joints():
@@ -129,7 +97,6 @@ def test_how_long_a_tare_holds():
     result = judge_drift(series_of("x", cells_of(reading), no_joints(), None), Limits())
     assert result.holds_s["force"] == pytest.approx(900.0, rel=0.4)
     assert "re-tare every" in result.sentence["force"]
-    assert "not predictable" in result.sentence["force"]
 
 
 def test_the_command_on_a_table(tmp_path, capsys):

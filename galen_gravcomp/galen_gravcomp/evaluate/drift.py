@@ -1,4 +1,21 @@
-"""Judge a long recording without contact: Allan deviation, forecasts, how long a tare holds."""
+"""Judge a long recording without contact: noise, Allan deviation, how long a tare holds.
+
+The overlapping Allan deviation of a reading, with its confidence band and fitted coefficients:
+
+With y cells of tau_0 and their means over m neighbours, tau = m tau_0,
+
+    AVAR(tau) = mean over i of (ybar_{i+m} - ybar_i)^2 / 2,   all starts i (overlapping)
+
+(Riley, *Handbook of Frequency Stability Analysis*, NIST SP 1065, 2008, section 5.2.4). Cells that
+are missing leave out the pairs that need them. The band is chi-squared's, with the degrees of
+freedom of table 5 there, by the noise that the slope indicates. IEEE Std 952-1997, annex C, has the
+terms of a sensor:
+
+    AVAR = N^2 / tau + (2 ln 2 / pi) B^2 + K^2 tau / 3 + R^2 tau^2 / 2
+
+white noise N (N/sqrt(Hz)), bias instability B (N), random walk K (N/sqrt(s)), ramp R (N/s); fitted
+with non-negative least squares, each tau weighted by its degrees of freedom.
+"""
 
 from __future__ import annotations
 
@@ -9,25 +26,100 @@ from typing import Any
 import numpy as np
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
+from galen_model.distributions import chi2_ppf
 from galen_model.evidence.verdict import Limits
 from rich.table import Table
+from scipy.optimize import nnls
 
 from galen_gravcomp.evaluate.drift_series import DriftSeries
-from galen_gravcomp.evaluate.drift_statistics import (
-    KEEPERS,
-    PREDICTORS,
-    Allan,
-    HorizonScore,
-    allan_deviation,
-    cell_for,
-    score_forecasts,
-)
 from galen_gravcomp.evaluate.report import Report, table
 
 GROUPS = {"force": slice(0, 3), "torque": slice(3, 6)}
 _UNIT = {"force": (1.0, "N"), "torque": (1e3, "mN.m")}
 _DELAYS = 60
-_PREDICTOR_TEXT = {"line": "a straight line", "day": "the time of day"}
+_PER_DECADE = 8
+_FEWEST_PAIRS = 3  # whole, that don't overlap
+
+
+@dataclass(frozen=True)
+class Allan:
+    """Of one channel: tau_s (k,), deviation (k,) and its 95 % band low, high (k,).
+
+    white (unit/sqrt(Hz)), instability (unit), walk (unit/sqrt(s)), ramp (unit/s): coefficients.
+    """
+
+    tau_s: Array
+    deviation: Array
+    low: Array
+    high: Array
+    white: float
+    instability: float
+    walk: float
+    ramp: float
+
+
+def allan_deviation(cells: Array, cell_s: float) -> Allan:
+    """Compute it of cells (n,), NaN where there is none."""
+    there = np.isfinite(cells)
+    total = np.concatenate([[0.0], np.cumsum(np.where(there, cells - np.nanmean(cells), 0.0))])
+    number = np.concatenate([[0], np.cumsum(there)])
+    longest = max(1, len(cells) // (_FEWEST_PAIRS + 1))
+    steps = int(_PER_DECADE * np.log10(longest)) + 1
+    rows: list[tuple[int, float, int, float]] = []
+    for m in np.unique(np.round(np.logspace(0, np.log10(longest), steps)).astype(int)):
+        used = number[m:] - number[:-m]
+        mean = (total[m:] - total[:-m]) / np.maximum(used, 1)
+        enough = 2 * used > m
+        pairs = enough[m:] & enough[:-m]
+        if not pairs.any() or (pairs.sum() < _FEWEST_PAIRS * m and m > 1):
+            continue
+        half = float(np.mean((mean[m:] - mean[:-m])[pairs] ** 2) / 2.0)
+        white = float(np.mean(1.0 / used[m:][pairs] + 1.0 / used[:-m][pairs]) / 2.0)
+        rows.append((int(m), half, int(pairs.sum()) + 2 * int(m) - 1, white / cell_s))
+    factor, variance, cells_used, white_part = np.array(rows).T
+    tau = factor * cell_s
+    deviation = np.sqrt(variance)
+    with np.errstate(divide="ignore"):
+        logs = np.log(np.maximum(deviation, 1e-300))
+    slope = np.gradient(logs, np.log(tau)) if len(tau) > 1 else np.array([-0.5])
+    freedom = np.array(
+        [_freedom(s, n + 1, m) for s, n, m in zip(slope, cells_used, factor, strict=True)]
+    )
+    low = deviation * np.sqrt(freedom / chi2_ppf(0.975, freedom))
+    high = deviation * np.sqrt(freedom / chi2_ppf(0.025, freedom))
+    coefficients = _fit(tau, variance, freedom, white_part)
+    return Allan(tau, deviation, low, high, *np.sqrt(coefficients).tolist())
+
+
+def _fit(tau: Array, variance: Array, freedom: Array, white: Array) -> Array:
+    """Squares (4,) of the coefficients."""
+    if not variance.max() > 0.0:  # a sensor that stays at one value
+        return np.zeros(4)
+    basis = np.column_stack(
+        [white, np.full(len(tau), 2.0 * np.log(2.0) / np.pi), tau / 3.0, tau**2 / 2.0]
+    )
+    floor = float(variance.max()) * 1e-12
+    expected = np.maximum(variance, floor)
+    for _ in range(10):  # the error of a variance is a part of the true one, not of the measured
+        weight = np.sqrt(freedom / 2.0) / expected
+        weighted = basis * weight[:, None]
+        size = np.maximum(np.linalg.norm(weighted, axis=0), 1e-300)
+        squares = nnls(weighted / size, variance * weight)[0] / size
+        expected = np.maximum(basis @ squares, floor)
+    return np.asarray(squares)
+
+
+def _freedom(slope: float, n: int, m: int) -> float:
+    """Degrees of freedom of n phase points averaged over m (NIST SP 1065, table 5)."""
+    if slope < -0.25:  # white
+        value = (3.0 * (n - 1) / (2.0 * m) - 2.0 * (n - 2) / n) * 4.0 * m**2 / (4.0 * m**2 + 5.0)
+    elif slope < 0.25:  # flicker
+        first = 2.0 * (n - 2) ** 2 / (2.3 * n - 4.9)
+        value = first if m == 1 else 5.0 * n**2 / (4.0 * m * (n + 3.0 * m))
+    else:  # walk
+        shrink = ((n - 1) ** 2 - 3.0 * m * (n - 1) + 4.0 * m**2) / (n - 3.0) ** 2
+        value = (n - 2) / m * shrink
+    return max(float(value), 1.0)
 
 
 @dataclass(frozen=True)
@@ -37,7 +129,7 @@ class DriftResult:
     allan: of each axis; rate_per_hour (6,): slope of a line through it all, N/h and N.m/h;
     delay_s (k,), change (k, 6): root mean square change of the reading over a delay; holds_s: by
     group, after which the worst axis' change is larger than its limit, None if it never is;
-    scores, sentence: by group.
+    sentence: by group.
     """
 
     series: DriftSeries
@@ -47,8 +139,6 @@ class DriftResult:
     delay_s: Array
     change: Array
     holds_s: dict[str, float | None]
-    scores: dict[str, list[HorizonScore]]
-    forecast_cell_s: float
     sentence: dict[str, str]
 
     def to_json(self) -> dict[str, Any]:
@@ -76,21 +166,6 @@ class DriftResult:
                 for index, (axis, allan) in enumerate(zip(WRENCH_AXES, self.allan, strict=True))
             },
             "holds_s": self.holds_s,
-            "forecasts": {
-                name: [
-                    {
-                        "horizon_s": score.horizon_s,
-                        "rmse": score.rmse,
-                        "keeper": score.keeper,
-                        "predictor": score.predictor,
-                        "skill": score.skill,
-                        "interval99": list(score.interval),
-                        "predictable": score.predictable,
-                    }
-                    for score in scores
-                ]
-                for name, scores in self.scores.items()
-            },
             "answer": self.sentence,
         }
 
@@ -99,20 +174,18 @@ def judge_drift(series: DriftSeries, limits: Limits) -> DriftResult:
     """Judge a recording in all respects."""
     allan = tuple(allan_deviation(column, series.cell_s) for column in series.reading.T)
     delay_s, change = _changes(series)
-    cell_s = cell_for(series.duration_s, series.cell_s)
-    cells = series.every(cell_s)
-    scores, holds, sentence = {}, {}, {}
+    holds, sentence = {}, {}
     for name, axes in GROUPS.items():
         over = np.flatnonzero((change[:, axes] > limits.axes[axes]).any(axis=1))
         holds[name] = float(delay_s[over[0]]) if len(over) else None
-        scores[name] = score_forecasts(cells[:, axes], cell_s)
         hold = _hold_text(name, holds[name], limits, series)
-        sentence[name] = f"{name}: {_forecast_text(scores[name], change[:, axes])}; {hold}."
+        # White noise: the change over the longest delays is that from one cell to the next.
+        if np.all(change[-5:, axes].mean(axis=0) < 1.1 * change[0, axes]):
+            hold = f"white noise, nothing drifts: average longer; {hold}"
+        sentence[name] = f"{name}: {hold}."
     time_h: Array = np.arange(float(len(series.reading))) * (series.cell_s / 3600.0)
     rate = np.array([_slope(time_h, column) for column in series.reading.T])
-    return DriftResult(
-        series, limits, allan, rate, delay_s, change, holds, scores, cell_s, sentence
-    )
+    return DriftResult(series, limits, allan, rate, delay_s, change, holds, sentence)
 
 
 def _changes(series: DriftSeries) -> tuple[Array, Array]:
@@ -143,26 +216,6 @@ def _hold_text(name: str, holds_s: float | None, limits: Limits, series: DriftSe
         cell = duration_text(series.cell_s)
         return f"two means of {cell} next to each other differ by more than {limit:g} {unit} anyway"
     return f"re-tare every {duration_text(holds_s)} to stay within {limit:g} {unit} (1 sigma)"
-
-
-def _forecast_text(scores: list[HorizonScore], change: Array) -> str:
-    if not scores:
-        return "too short to say whether the bias drift can be predicted"
-    predictable = [score for score in scores if score.predictable]
-    if predictable:
-        best = max(predictable, key=lambda score: score.skill)
-        return (
-            f"predictable; {_PREDICTOR_TEXT[best.predictor]} predicts {best.skill:.0%} of the"
-            f" change over {duration_text(best.horizon_s)} (mean square, on hours that no fit has"
-            f" seen; at {len(predictable)} of {len(scores)} horizons it beats keeping a value)"
-        )
-    # White noise: the change over the longest delays is that from one cell to the next.
-    if np.all(change[-5:].mean(axis=0) < 1.1 * change[0]):
-        return "white noise, nothing drifts: average longer"
-    return (
-        f"not predictable; no forecast up to {duration_text(scores[-1].horizon_s)} beats keeping"
-        " the value of the last moments"
-    )
 
 
 def duration_text(seconds: float) -> str:
@@ -202,10 +255,6 @@ def _shown(result: DriftResult) -> list[str | Table]:
         f"{duration_text(series.duration_s)}, {series.samples} readings",
         *(f"[yellow]{note}[/yellow]" for note in (*notes, *series.notes)),
         _noise_table(result),
-        _forecast_table(result),
-        "zero: the value just after zeroing; last: the newest bin of"
-        f" {result.forecast_cell_s:g} s; skill: of the better of line, day over that of zero, last,"
-        " level, both chosen on the first half",
     ]
 
 
@@ -222,24 +271,4 @@ def _noise_table(result: DriftResult) -> Table:
             result.rate_per_hour[index],
         )
         made.add_row(f"{axis} ({unit})", *(f"{value * factor:.4f}" for value in values))
-    return made
-
-
-def _forecast_table(result: DriftResult) -> Table:
-    names = (*KEEPERS, *PREDICTORS)
-    made = table(
-        "Forecasts on the second half: root mean square error (of three axes)",
-        ("ahead", *names, "skill (99 %)"),
-    )
-    for group, (factor, unit) in _UNIT.items():
-        if result.scores[group]:
-            made.add_row(f"[bold]{group} ({unit})[/bold]")
-        for score in result.scores[group]:
-            values = [
-                f"{score.rmse[name] * factor:.4f}" if name in score.rmse else "-" for name in names
-            ]
-            skill = f"{score.skill:+.2f} ({score.interval[0]:+.2f} ... {score.interval[1]:+.2f})"
-            if score.predictable:
-                skill = f"[green]{skill}[/green]"
-            made.add_row(duration_text(score.horizon_s), *values, skill)
     return made

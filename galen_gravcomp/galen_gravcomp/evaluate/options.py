@@ -177,8 +177,8 @@ def _add_drift_options(group: argparse._ArgumentGroup) -> None:
         "--drift",
         action="store_true",
         help="the inputs, in their order, are one recording without contact: its course, Allan"
-        " deviation, how long a tare holds, and whether the drift is predictable, on hours that no"
-        " fit has seen. Tables are read whole; --tool: the arm was at rest in several poses",
+        " deviation, and how long a tare holds. Tables are read whole; --tool: the arm was at rest"
+        " in several poses",
     )
     group.add_argument(
         "--cell-s",
