@@ -34,7 +34,7 @@ _HEADS = {
     CheckAnswer.GOOD: "good",
     CheckAnswer.RETARE: "re-tare",
     CheckAnswer.RECALIBRATE: "recalibrate",
-    CheckAnswer.UNSURE: "can't tell",
+    CheckAnswer.UNSURE: "not decided",
 }
 
 

@@ -86,7 +86,7 @@ class CalibrationParameters(PoseParameters):
     estimate: tuple[str, ...] = param(
         (),
         "what to estimate together with the loads, see *Sensor and mounting*; a goal is rejected"
-        " where the poses can't tell it",
+        " where the poses don't identify it",
     )
     confirm_timeout_s: float = param(
         600.0, "time for an operator to put the tool on or to remove it", 1.0, 86_400.0
@@ -184,11 +184,9 @@ class CalibrationParameters(PoseParameters):
         outside = np.any((poses < lower) | (poses > upper), axis=1)
         if outside.any():
             index = int(np.argmax(outside))
-            angles = zip(names, poses[index], strict=True)
             raise GridError(
-                f"pose {index} of listed_poses_rad"
-                f" ({', '.join(f'{name} {angle:g}' for name, angle in angles)} rad) is outside the"
-                " joints' limits"
+                f"pose {index} of listed_poses_rad ({self.arm.described(poses[index])}) is outside"
+                " the joints' limits"
             )
         return poses
 

@@ -309,6 +309,23 @@ def test_poses_that_tell_too_little_are_rejected_before_the_arm_moves(world):
     assert world.driver.moves == 0
 
 
+@pytest.mark.parametrize(
+    ("groups", "code"),
+    [(["joint_zero"], ErrorCode.NONE), (["joint_zero", "base_inclination"], ErrorCode.NOT_EXCITED)],
+)
+def test_a_mounting_is_estimated_where_the_poses_identify_it(tmp_path, groups, code):
+    with Harness() as harness:
+        world = make(harness, tmp_path, estimate=groups)
+        handle = world.send(iters_t=4, iters_r=4)
+        if code == ErrorCode.NONE:
+            _, result = world.result(handle)
+            assert result.error_code == code, result.error_msg
+            assert read_calibration(result.file).mounting.estimated == tuple(groups)
+        else:
+            world.fails(handle, code, "the roll joint's zero", "the base's inclination about x")
+            assert world.driver.moves == 0
+
+
 def test_without_a_goal_its_state_is_ready_or_that_the_last_one_failed(world):
     def told():
         return [v.value for s in world.diagnostics[-1:] for v in s.values if v.key == "state"]

@@ -205,7 +205,7 @@ def test_what_can_not_be_visited_is_rejected_by_its_number():
     for numbers in ((), (0.1, 0.2, 0.3), tuple([0.1, 0.2] * 1001)):
         with pytest.raises(ParameterError, match=f"listed_poses_rad' has {len(numbers)} numbers"):
             CalibrationParameters(poses="listed", listed_poses_rad=numbers).validate()
-    with pytest.raises(GridError, match=r"pose 2 of listed_poses_rad .roll 0, tilt 1.2 rad"):
+    with pytest.raises(GridError, match=r"pose 2 of listed_poses_rad .roll 0.000, tilt 1.200 rad"):
         listed([[0.0, 0.0], [0.1, 0.0], [0.0, 1.2]]).validate()
     with pytest.raises(NotExcitedError):
         listed([[0.1 * k, 0.0] for k in range(8)]).plan(TIP)

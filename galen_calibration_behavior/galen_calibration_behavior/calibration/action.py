@@ -102,11 +102,11 @@ class CalibrateAction(ArmAction):
             )
             if settings.estimate:
                 check_planned_mounting(
-                    plan.poses[:, 0],
-                    plan.poses[:, 1],
+                    plan.poses,
                     settings.estimate,
                     one_sweep=request.one_sweep,
                     zero_angles=settings.home_angles,
+                    arm=settings.arm,
                 )
             check_writable(path)
         except ToolNameError as error:

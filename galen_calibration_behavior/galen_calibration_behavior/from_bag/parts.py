@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -117,7 +117,7 @@ def remove_cable(options: argparse.Namespace) -> dict[str, Any]:
     return {"tool": options.tool, "file": str(path) if done else "", "removed": done}
 
 
-def _table(title: str, heads: Sequence[str], rows: dict[str, Sequence[str]]) -> Table:
+def _table(title: str, heads: Sequence[str], rows: Mapping[str, Sequence[str]]) -> Table:
     from rich.table import Table  # slow to import, and `--json` needs none
 
     table = Table(title=title)
