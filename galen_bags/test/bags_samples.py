@@ -12,7 +12,7 @@ import lz4.frame
 import numpy as np
 from galen_bags.formats.bag import open_bag
 from galen_bags.formats.mcap_records import zstd
-from galen_model.arm.galen import JOINT_NAMES
+from galen_model.arm.galen import GALEN
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
@@ -75,7 +75,7 @@ def arm_samples(count: int = 40, seed: int = 1) -> list[Sample]:
             Sample(
                 "/joint_states",
                 stamp + 50_000,
-                cdr(joint_state(header(stamp), JOINT_NAMES, q[:5], q[5:])),
+                cdr(joint_state(header(stamp), GALEN.joint_names, q[:5], q[5:])),
             ),
             Sample("/wrench_raw", stamp + 90_000, cdr(wrench(header(stamp, "ft_sensor"), q[:6]))),
         ]

@@ -1,5 +1,7 @@
 """An arm's joint states and wrenches out of a bag: which topics, which samples, what is wrong."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from bags_samples import (
@@ -23,7 +25,7 @@ from bags_samples import (
 )
 from galen_bags.arrays.arm_recording import ArmReader, ArmTopics, find_topic, read_arm
 from galen_bags.formats.bag import open_bag
-from galen_model.arm.galen import JOINT_NAMES
+from galen_model.arm.galen import GALEN
 
 from galen_bags import BagError
 
@@ -153,7 +155,7 @@ def test_messages_that_can_not_be_used_are_left_out_and_counted(tmp_path):
     bad = {
         4: Sample("/wrench_raw", samples[4].log_time_ns, samples[4].data[:30]),
         5: Sample("/joint_states", samples[5].log_time_ns,
-                  cdr(joint_state(header(T0), JOINT_NAMES[:4], range(4)))),
+                  cdr(joint_state(header(T0), GALEN.joint_names[:4], range(4)))),
     }  # fmt: skip
     mixed = [bad.get(k, sample) for k, sample in enumerate(samples)]
     recording = read_arm(write_rosbag2(tmp_path / "bag", mixed))
@@ -177,3 +179,18 @@ def test_topic_without_a_usable_message(tmp_path):
     path = write_rosbag2(tmp_path / "broken", broken)
     with pytest.raises(BagError, match="/joint_states has no usable message: 4 bytes came that"):
         read_arm(path)
+
+
+def test_another_arm_has_other_joints(tmp_path):
+    arm = replace(GALEN, joints=(GALEN.joints[0], GALEN.joints[4]), delta=None)
+    samples = [
+        Sample("/joint_states", T0, cdr(joint_state(header(T0), ["tilt", "x"], [2, 1], [4, 3]))),
+        Sample("/wrench_raw", T0 + 1, cdr(wrench(header(T0, "ft_sensor"), range(6)))),
+    ]
+    path = write_rosbag2(tmp_path / "bag", samples)
+    recording = read_arm(path, ArmTopics(joint_names=arm.joint_names), arm)
+    nan = np.nan  # a sliding joint may lack, a turning one not
+    assert np.array_equal(recording.joints, [[nan, 2]], equal_nan=True)
+    assert np.array_equal(recording.joint_velocities, [[nan, 4]], equal_nan=True)
+    with pytest.raises(BagError, match="2 joint names; the arm has 5 joints"):
+        read_arm(path, ArmTopics(joint_names=arm.joint_names))

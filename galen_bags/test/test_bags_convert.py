@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from galen_bags.arrays.arm_recording import read_arm
 from galen_bags.convert import angles_of, main, stamps_ns
-from galen_model.arm.galen import GALEN, GRAVITY_M_S2, HOME
+from galen_model.arm.galen import GALEN, GRAVITY_M_S2
 from galen_model.load.model import Load, gravity_wrench
 from galen_model.rotation import matrix_to_quaternion, quaternion_to_matrix, rotvec_to_matrix
 
@@ -67,7 +67,7 @@ def test_a_known_load_is_compensated_to_zero(tmp_path, frame, capsys):
     assert np.abs(residual(bag)).max() < 1e-9
     recording = read_arm(bag)
     assert recording.frame_ids == ("ft_sensor",)
-    assert recording.joints[:, :3] == pytest.approx(np.tile(HOME[:3], (50, 1)))
+    assert recording.joints[:, :3] == pytest.approx(np.tile(GALEN.home[:3], (50, 1)))
     expected_ns = 100_000_000_000 + 10_000_000 * np.arange(50)
     assert recording.joint_stamp_ns.tolist() == expected_ns.tolist()
     assert recording.wrench_stamp_ns.tolist() == expected_ns.tolist()

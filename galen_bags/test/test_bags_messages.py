@@ -19,7 +19,7 @@ from bags_samples import (
 )
 from galen_bags.arrays.arm_recording import Decoder
 from galen_bags.formats.raw_block import pack
-from galen_model.arm.galen import JOINT_NAMES
+from galen_model.arm.galen import GALEN
 from rosbags.serde import SerdeError
 
 ODD = [0.0, -0.0, np.nan, np.inf, -np.inf, 5e-324, 1.7976931348623157e308, 0.1]
@@ -87,7 +87,7 @@ def test_stamped(type_name):
 
 
 def any_joint_state(rng):
-    names = [*JOINT_NAMES, "gripper", "wrist"][: rng.choice([5, 6, 7])]
+    names = [*GALEN.joint_names, "gripper", "wrist"][: rng.choice([5, 6, 7])]
     if rng.random() < 0.5:
         rng.shuffle(names)
     if rng.random() < 0.2:
@@ -119,12 +119,14 @@ def test_bytes_after_the_last_value(extra):
     rosbags takes three of them at most and rejects the message else; every ROS 2 subscriber takes
     it, and so do we.
     """
-    whole = cdr(joint_state(header(T0), JOINT_NAMES, range(5), range(5, 10)))
+    whole = cdr(joint_state(header(T0), GALEN.joint_names, range(5), range(5, 10)))
     rest = random.Random(extra).randbytes(extra)
     if extra > 3:
         with pytest.raises(SerdeError, match="size mismatch"):
             TYPES.deserialize_cdr(whole + rest, JOINT_STATE)
-    samples = decode(Decoder(JOINT_STATE, JOINT_NAMES), [whole, whole + rest, whole + rest[::-1]])
+    samples = decode(
+        Decoder(JOINT_STATE, GALEN.joint_names), [whole, whole + rest, whole + rest[::-1]]
+    )
     assert not samples.bad
     assert np.array_equal(samples.values, [np.arange(10)] * 3)
 
@@ -132,10 +134,10 @@ def test_bytes_after_the_last_value(extra):
 @pytest.mark.parametrize("type_name", [WRENCH, JOINT_STATE, POSE])
 def test_message_that_is_cut_anywhere(type_name):
     make = {WRENCH: lambda h: wrench(h, range(6)), POSE: lambda h: pose(h, range(7))}
-    make[JOINT_STATE] = lambda h: joint_state(h, JOINT_NAMES, range(5), range(5), range(5))
+    make[JOINT_STATE] = lambda h: joint_state(h, GALEN.joint_names, range(5), range(5), range(5))
     whole = cdr(make[type_name](header(T0, "ft_sensor")))
     messages = [whole[:length] for length in range(len(whole))]
-    samples = decode(Decoder(type_name, JOINT_NAMES), [whole, *messages])
+    samples = decode(Decoder(type_name, GALEN.joint_names), [whole, *messages])
     assert sorted(samples.bad) == list(range(1, len(messages) + 1))
     assert np.isnan(samples.values[1:]).all() and not samples.stamp_ns[1:].any()
     assert samples.bad[1].startswith(f"0 bytes came that are not a readable {type_name}: ")
@@ -145,7 +147,7 @@ def test_message_that_is_cut_anywhere(type_name):
 def test_damaged_messages(seed):
     """What rosbags reads is read the same; nothing raises."""
     rng = random.Random(seed)
-    for type_name, names in ((WRENCH, ()), (JOINT_STATE, tuple(JOINT_NAMES))):
+    for type_name, names in ((WRENCH, ()), (JOINT_STATE, tuple(GALEN.joint_names))):
         messages = []
         for _ in range(300):
             if type_name == WRENCH:
@@ -173,14 +175,16 @@ def test_damaged_messages(seed):
 
 
 def test_joint_states_that_can_not_be_used():
-    fine = cdr(joint_state(header(T0), JOINT_NAMES, range(5)))
+    fine = cdr(joint_state(header(T0), GALEN.joint_names, range(5)))
     cases = {
-        cdr(joint_state(header(T0 + 1), JOINT_NAMES[:4], range(4))): (
+        cdr(joint_state(header(T0 + 1), GALEN.joint_names[:4], range(4))): (
             "joint state lacks tilt; it has delta_x, delta_y, delta_z, roll"
         ),
         cdr(joint_state(header(T0 + 1), [], [])): "lacks roll, tilt; it has no joints",
-        cdr(joint_state(header(T0 + 1), JOINT_NAMES, range(4))): "5 names but 4 positions",
-        cdr(joint_state(header(T0 + 1), JOINT_NAMES, range(5), range(2))): "5 names but 2 veloc",
+        cdr(joint_state(header(T0 + 1), GALEN.joint_names, range(4))): "5 names but 4 positions",
+        cdr(
+            joint_state(header(T0 + 1), GALEN.joint_names, range(5), range(2))
+        ): "5 names but 2 veloc",
         b"": "0 bytes came",
         b"\0\3" + fine[2:]: "don't start as a serialised message",
     }

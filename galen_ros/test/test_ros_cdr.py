@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from galen_model.arm.galen import JOINT_NAMES
+from galen_model.arm.galen import GALEN
 from galen_ros.cdr import (
     UnreadableError,
     joint_state_bytes,
@@ -37,17 +37,17 @@ def assert_same_bytes(data, message):
 @pytest.mark.parametrize("frame_id", ["", "a", "base_link", "a frame with a long name"])
 def test_joint_states_byte_for_byte(frame_id):
     rng = np.random.default_rng(1)
-    template = joint_state_bytes(JOINT_NAMES, frame_id)
+    template = joint_state_bytes(GALEN.joint_names, frame_id)
     for stamp_ns in STAMPS_NS:
         positions, velocities = rng.normal(size=(2, 5)).tolist()
-        message = JointState(name=list(JOINT_NAMES), position=positions, velocity=velocities)
+        message = JointState(name=list(GALEN.joint_names), position=positions, velocity=velocities)
         message.header.frame_id = frame_id
         fill_stamp(message.header.stamp, stamp_ns)
         data = template.fill(stamp_ns, positions, velocities)
         assert_same_bytes(data, message)
         # The library rosbags rejects the four bytes that rclpy has at the end.
         assert ROSBAGS_TYPES.deserialize_cdr(data, "sensor_msgs/msg/JointState").name == list(
-            JOINT_NAMES
+            GALEN.joint_names
         )
 
 

@@ -191,14 +191,13 @@ class OrientationTable:
         """Return the table's `rows`, with the labels `block` (for those rows)."""
         time = None if self.time is None else self.time[rows]
         rotation = None if self.rotation is None else self.rotation[rows]
-        return OrientationTable(
-            self.path,
-            self.gravity[rows],
-            self.wrench[rows],
-            time,
-            block,
-            self.orientation,
-            rotation,
+        return replace(
+            self,
+            gravity=self.gravity[rows],
+            wrench=self.wrench[rows],
+            time=time,
+            block=block,
+            rotation=rotation,
         )
 
     def timed(self) -> OrientationTable:

@@ -184,14 +184,12 @@ class Timeline:
 
     def kept(self, mask: np.ndarray) -> Timeline:
         """Only some of the samples (n,)."""
-        return Timeline(
-            self.row[mask],
-            self.stamp_ns[mask],
-            self.time_ns[mask],
-            self.shift_ns[mask],
-            self.delay_ns,
-            self.jumps,
-            self.report,
+        return replace(
+            self,
+            row=self.row[mask],
+            stamp_ns=self.stamp_ns[mask],
+            time_ns=self.time_ns[mask],
+            shift_ns=self.shift_ns[mask],
         )
 
 
