@@ -109,20 +109,6 @@ def test_wrong_arguments_end_with_code_2(arguments, capsys):
     assert "collect: error:" in capsys.readouterr().err
 
 
-def test_help_tells_the_exit_codes(capsys):
-    with pytest.raises(SystemExit) as end:
-        parse(["--help"])
-    assert end.value.code == 0
-    text = capsys.readouterr().out
-    assert all(f"\n  {code} " in text for code in (0, 1, 2, 130))
-
-
-def test_positions_may_be_negative():
-    options = parse(["a", "--tool", "b", "--positions", *map(str, POSITIONS), "--json"])
-    assert options.positions == POSITIONS
-    assert not options.by_service
-
-
 def test_the_result_for_a_person_and_for_a_program():
     result = CollectPushes.Result(
         pushes=5,
@@ -262,17 +248,6 @@ def test_a_push_beyond_the_limit_stops_the_arm(tmp_path):
         assert status == GoalStatus.STATUS_ABORTED
         assert result.error_code == ErrorCode.OVERLOAD
         assert "the limits are 12 N" in result.error_msg
-        assert not world.driver._plant.moving
-
-
-@pytest.mark.slow
-def test_a_place_that_can_not_be_written_is_said_before_the_arm_moves(tmp_path):
-    (tmp_path / "recordings").write_text("a file")
-    with Harness() as harness:
-        world = CollectionWorld(harness, tmp_path)
-        _, result = world.result(world.send())
-        assert result.error_code == ErrorCode.WRITE_FAILED
-        assert str(tmp_path / "recordings") in result.error_msg
         assert not world.driver._plant.moving
 
 

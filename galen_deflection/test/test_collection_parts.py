@@ -163,16 +163,6 @@ def test_a_torque_is_judged_by_the_torque():
     assert watch.outcome == ""
 
 
-def test_spoilt_after_it_was_held_it_still_counts_not():
-    watch, _ = watched(steps((0, 2), (-5, 18), (0, 3)))
-    assert watch.outcome is None
-    watch.spoil("the marker was lost", 1.0)
-    watch.spoil("and something else", 1.0)
-    for k in range(30):
-        watch.look(1.0 + 0.02 * k, np.zeros(6))
-    assert watch.outcome == "the marker was lost"
-
-
 # --- markers ------------------------------------------------------------------------------------
 
 
@@ -205,10 +195,6 @@ def test_a_frozen_marker_is_not_seen_unless_it_may_stand():
     assert poses(stamps_s, change=0.0, may_stand=True).complaint(1.0, 0.1) == ""
 
 
-def test_a_pose_that_is_not_finite_tells_nothing():
-    assert len(poses(np.arange(0.0, 1.0, 0.02), change=math.nan).stamps) == 0
-
-
 # --- the folder ---------------------------------------------------------------------------------
 
 
@@ -221,16 +207,6 @@ def test_a_finished_folder_gets_its_name_at_the_end(tmp_path):
     assert sorted(p.name for p in folder.path.iterdir()) == ["collection.json", "tool.json"]
     assert json.loads((folder.path / "collection.json").read_text()) == {"a": 1}
     assert read_calibration(folder.path / "tool.json").tip_m == pytest.approx(TOOL.tip_m)
-
-
-def test_unfinished_ones_never_meet(tmp_path):
-    for _ in range(3):
-        folder = CollectionFolder(tmp_path, "monday")
-        folder.make(TOOL)
-        folder.close({}, finished=False)
-    assert sorted(p.name for p in tmp_path.iterdir()) == [
-        "monday.unfinished", "monday.unfinished-2", "monday.unfinished-3"
-    ]  # fmt: skip
 
 
 def test_one_that_recorded_nothing_goes(tmp_path):

@@ -63,26 +63,6 @@ def test_a_play_follows_by_as_little_as_it_must():
     np.testing.assert_allclose(play(load, np.array([0.4]))[:, 0], expected, atol=1e-15)
 
 
-def test_speed_does_not_matter():
-    """More samples on the way, and waiting, change nothing at the corners."""
-    corners = np.random.default_rng(1).normal(size=40)
-    slow = ramps(*corners, steps=37)
-    np.testing.assert_allclose(play(slow)[::37], play(corners), atol=1e-14)
-    np.testing.assert_array_equal(play(np.repeat(corners, 5))[4::5], play(corners))
-
-
-def test_loops_between_two_loads_are_congruent():
-    """After different pasts, the loop between 0.2 and 0.9 has one shape, only shifted."""
-    loops = []
-    for past in ([0.0, 3.0], [0.0, -3.0], [0.0, 1.5, -1.0]):
-        load = ramps(*past, 0.2, 0.9, 0.2, 0.9)
-        loop = play(load)[-101:]
-        loops.append(loop - loop[0])
-    assert np.abs(loops[0]).max() > 0.5
-    np.testing.assert_allclose(loops[1], loops[0], atol=1e-14)
-    np.testing.assert_allclose(loops[2], loops[0], atol=1e-14)
-
-
 def test_a_larger_load_wipes_out_smaller_ones():
     quiet = play(ramps(0.0, 2.0, -1.0, 0.3))
     busy = play(ramps(0.0, 1.2, -0.4, 0.9, 0.1, 2.0, -1.0, 0.5, -0.2, 0.5, -1.0, 0.3))
@@ -221,20 +201,6 @@ def test_the_held_out_cost_is_that_of_samples_which_the_fit_has_not_seen(rubbed)
         assert costs[position] == pytest.approx(cost, rel=1e-6)
 
 
-def test_the_first_that_is_as_good_as_the_best_is_taken():
-    def first(*costs, share=0.0):
-        return spring_fit._first_good(np.array(costs, dtype=float), share)
-
-    best = [100.0, 101.0, 99.0, 100.0]
-    clearly_worse = [105.0, 106.0, 104.5, 105.0]
-    assert first(clearly_worse, best) == 1
-    assert first(clearly_worse, best, share=0.06) == 0
-    at_random_worse = [108.0, 96.0, 104.0, 100.0]  # 2 a fold, give or take 2.6
-    assert first(at_random_worse, best) == 0
-    assert first(best, clearly_worse) == 0
-    assert first(clearly_worse, at_random_worse, best) == 1
-
-
 @pytest.mark.filterwarnings("error")
 def test_one_stretch_of_load_tells_no_hysteresis():
     short = recording(RUBBING, rate_hz=25.0).rows(slice(70, 160))
@@ -268,36 +234,6 @@ def test_what_no_joint_does_is_fitted_and_said(place, shape, notes):
     model = fit(replace(samples, deflection=clean + noise))
     assert model.notes == notes
     assert rms((model.predict(samples).mean - clean) / NOISE) < 0.25
-
-
-def test_memory_is_carried_within_a_segment_and_not_beyond(rubbed, model):
-    one = rubbed.rows(rubbed.segment == 0)
-    loaded = replace(one, segment=np.zeros_like(one.segment))
-    cut = len(one) // 2
-    while np.any(one.wrench[cut] != 0.0):
-        cut += 1
-    parted = replace(one, segment=(np.arange(len(one)) >= cut).astype(int))
-    together, apart = model.predict(loaded).mean, model.predict(parted).mean
-    np.testing.assert_allclose(apart[:cut], together[:cut], rtol=0, atol=1e-14)
-    assert np.abs(together[cut, :3]).max() > 5e-6  # something is left there
-    np.testing.assert_allclose(apart[cut], 0.0, atol=1e-14)
-
-
-def test_the_unknown_start_is_uncertain_until_loads_have_passed(rubbed, model):
-    stream = model.stream()
-    std = []
-    one = rubbed.rows(rubbed.segment == 0)
-    for k in range(len(one)):
-        std.append(np.sqrt(np.diag(stream.step(0, one.joints[k], one.wrench[k]).covariance)))
-    rest = np.flatnonzero(np.all(one.wrench == 0.0, axis=1))
-    first, last = np.array(std)[rest[0]], np.array(std)[rest[-1]]
-    assert np.all(first[:3] > 2.0 * last[:3])
-    # as large as what largest pushes leave, and no larger than what they bend
-    left = np.abs(model.predict(one).mean[rest]).max(axis=0)
-    assert np.all(first[:5] > 0.2 * left[:5]) and np.all(first[:5] < 2.0 * left[:5])
-    stream.reset()
-    again = stream.step(0, one.joints[0], one.wrench[0]).covariance
-    np.testing.assert_allclose(np.sqrt(np.diag(again)), std[0], rtol=1e-12)
 
 
 @pytest.mark.parametrize("loaded_with", [0.0, 0.3, 1.0, -2.0])
@@ -368,17 +304,6 @@ def smooth(load, thresholds=R):
     return SmoothOperators(thresholds).run(columns)
 
 
-def test_the_virgin_curve_and_the_way_back():
-    """Up: z = 1 - exp(-x/r). Back: z falls straight by x/r to zero, then bends to -1."""
-    load = np.array([0.0, 0.3, 1.0, 0.9, 0.0])
-    z_top = 1.0 - np.exp(-1.0 / R)
-    past_zero = np.maximum(1.0 / R - z_top, 0.0)
-    z_end = np.where(past_zero > 0.0, np.expm1(-past_zero), z_top - 1.0 / R)
-    output = smooth(load).output
-    np.testing.assert_allclose(output[1], 0.3 + R * np.expm1(-0.3 / R), rtol=1e-12)
-    np.testing.assert_allclose(output[4], -R * z_end, rtol=1e-12)
-
-
 def test_against_the_differential_equation():
     """Bouc and Wen's equation in time, with n = 1 and beta = gamma = 1/2, by a general solver."""
     corners = np.array([0.0, 0.8, -0.3, 0.5, 0.45, -1.0, 0.0])
@@ -409,20 +334,6 @@ def test_no_past_lies_outside_of_the_spread():
     assert np.all(np.max(np.abs(widths), axis=0) <= played.spread + 1e-12)
     np.testing.assert_allclose(played.spread[0], 2.0 * R)
     assert played.spread[-1, 0] < 1e-3 * R[0]
-
-
-def test_a_model_may_have_both_kinds_of_plays():
-    """Each operator gets its own load, whichever kind stands beside it."""
-    samples = recording(seed=5, rate_hz=6.0)
-    plays = Operator("tilt", "play", (0.2,)), Operator("roll", "smooth_play", (0.3,))
-    both = SpringRun(SpringBasis(TIP_M, plays))
-    alone = [SpringRun(SpringBasis(TIP_M, (one,))) for one in plays]
-    here = samples.rows(samples.segment == 0)
-    found = both.rows(here.joints, here.wrench).design
-    for k, run in enumerate(alone):
-        design = run.rows(here.joints, here.wrench).design
-        np.testing.assert_array_equal(found[:, :, 4 + k], design[:, :, 4])
-        assert np.abs(design[:, :, 4]).max() > 0.0
 
 
 def test_what_soft_friction_leaves_at_no_load_is_predicted():

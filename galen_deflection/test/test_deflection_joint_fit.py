@@ -17,7 +17,6 @@ from galen_model.transmission import (
     noise_of,
     swapped,
     time_blocks,
-    velocity,
     whole_runs,
 )
 from joint_synthetic import (
@@ -124,22 +123,6 @@ def test_terms_look_neither_ahead_nor_at_the_link():
     assert not np.allclose(before[half:], after[half:])
 
 
-def test_velocity_is_that_of_now_even_in_acceleration():
-    time_s = np.arange(300) / 100.0
-    run = JointRun("run", time_s, 0.5 * time_s**2, time_s, time_s)
-    assert velocity(run, 0.1)[50:] == pytest.approx(time_s[50:], abs=1e-9)
-    assert velocity(run, 0.1)[0] == 0.0
-
-
-def test_the_direction_fades_where_it_is_told_to():
-    time_s = np.arange(300) / 100.0
-    run = JointRun("run", time_s, 0.02 * time_s, time_s, time_s)
-    for given, expected in ((0.02, np.tanh(1.0)), (None, 1.0)):
-        scales = Scales.of([run], [np.full(300, True)], 0.1, given)
-        direction = design(run, scales)[50:, TERMS.index("direction")]
-        assert direction == pytest.approx(expected, abs=1e-6)
-
-
 def test_bounds_hold_for_what_gives_and_not_for_the_rest():
     run = spring_run("run", 1, 1e-5)
     turned = replace(run, torque=-run.torque)
@@ -198,14 +181,3 @@ def test_runs_that_may_train_for_each_other():
         whole_runs(runs, "(")
     with pytest.raises(PartsError, match="2 runs"):
         whole_runs(runs[:2])
-
-
-def test_blocks_cover_each_run_once():
-    runs = [spring_run("run", 1, 1e-5, seconds=2.0)]
-    parts = time_blocks(runs, 4)
-    rows = [parts.rows([k])[0] for k in range(4)]
-    assert np.array_equal(np.sum(rows, axis=0), np.ones(len(runs[0])))
-    assert all(np.ptp(np.flatnonzero(row)) + 1 == row.sum() for row in rows)
-    assert parts.trained_on(1) == [0, 2, 3]
-    with pytest.raises(PartsError, match="2 blocks"):
-        time_blocks(runs, 2)

@@ -104,15 +104,6 @@ def slow_load(rate_hz, duration_s=6.0):
     return np.round(at * 1e9).astype(np.int64), np.sin(1.5 * at)[:, None]
 
 
-def test_at_the_rate_of_the_training_every_sample_is_a_step():
-    net, (stamps, load) = small_net(), slow_load(25.0)
-    expected = net.predict(load)
-    np.testing.assert_allclose(PacedNet(net, 0.04).run(stamps, load), expected, rtol=1e-12)
-    jitter = np.random.default_rng(0).integers(-4_000_000, 4_000_000, len(stamps))
-    found = PacedNet(net, 0.04).run(stamps + jitter, load)
-    np.testing.assert_allclose(found, expected, atol=0.02)
-
-
 @pytest.mark.parametrize("rate_hz", [500.0, 137.0, 10.0])
 def test_at_another_rate_it_remembers_as_long(rate_hz):
     net, (stamps, load) = small_net(), slow_load(25.0)
@@ -152,13 +143,6 @@ def test_every_sample_is_in_one_sequence():
         np.testing.assert_allclose(one.targets[one.use][:, :1], one.inputs[one.use])
     seen = np.concatenate([one.targets[one.use, 0] for one in found])
     np.testing.assert_allclose(np.sort(seen), np.flatnonzero(use), atol=1e-6)
-
-
-def test_between_samples_a_target_needs_both_sides():
-    values = np.array([[0.0], [1.0], [np.nan], [3.0]])
-    at = np.array([0.5, 1.0, 1.5, 2.5, 3.0])
-    found = interpolated(at, np.arange(4.0), values)[:, 0]
-    np.testing.assert_array_equal(found, [0.5, 1.0, np.nan, np.nan, 3.0])
 
 
 def test_held_out_are_repetitions_and_every_position_remains(pushed):
@@ -222,17 +206,6 @@ def test_a_stream_is_the_prediction_at_any_rate(lstm, pushed):
     assert np.abs((there - expected) / one.noise).max() < 1e-3 * np.abs(expected / one.noise).max()
 
 
-def test_what_may_not_be_used_is_not_looked_at(torch, pushed):
-    use = pushed.position != 2
-    hidden = np.where(use[:, None], pushed.deflection, np.nan)
-    settings = FitSettings(use=use, iterations=2, seed=3)
-    masked = fit_network(replace(pushed, deflection=hidden), settings)
-    alone = fit_network(pushed.rows(use), FitSettings(iterations=2, seed=3))
-    assert masked.to_json() == alone.to_json()
-    other = fit_network(pushed.rows(use), FitSettings(iterations=2, seed=4))
-    assert np.abs(other.predict(pushed).mean - alone.predict(pushed).mean).max() > 1e-6
-
-
 def with_backlash(rng, count=300):
     """The output lags behind by 0.4: static fits are half a loop off."""
     corners = np.arange(0, count + 25, 25)
@@ -285,16 +258,6 @@ def test_the_best_iteration_is_kept(torch):
     assert np.sqrt(np.mean(error**2)) == pytest.approx(errors[best], rel=1e-5)
 
 
-def test_sequences_of_any_lengths_count_by_their_samples(torch):
-    """What is padded is not counted: the loss is that of the samples one by one."""
-    rng = np.random.default_rng(4)
-    series = [with_backlash(rng, n) for n in (10, 37, 200, 90)]
-    settings = replace(SMALL, iterations=1)
-    net, errors, _ = train(series, settings, held_out=series, unit=np.array([1.0]))
-    found = np.concatenate([net.predict(s.inputs) - s.targets for s in series])
-    assert np.sqrt(np.mean(found**2)) == pytest.approx(errors[0], rel=1e-5)
-
-
 def test_the_numpy_network_is_what_torch_calculates(torch):
     series = with_backlash(np.random.default_rng(6))
     net, _, _ = train([series], replace(SMALL, hidden=5, iterations=3))
@@ -309,35 +272,6 @@ def test_the_numpy_network_is_what_torch_calculates(torch):
         theirs = lstm(x[:, None])[0][:, 0] @ w["w_out"].T + w["bias_out"]
     ours = net.outputs.apply(net.predict(series.inputs))
     np.testing.assert_allclose(ours, theirs.numpy(), atol=2e-6)
-
-
-def test_rounding_and_constants_are_not_blown_up(torch):
-    rng = np.random.default_rng(9)
-    one = with_backlash(rng)
-    rounding = 1e-16 * rng.normal(size=(300, 1))
-    whole = one._replace(
-        inputs=np.hstack([one.inputs, rounding]), targets=np.hstack([one.targets, 0 * rounding + 7])
-    )
-    few = replace(SMALL, hidden=4, iterations=3)
-    net, _, _ = train([whole], few, least=np.array([0.0, 0.1]))
-    moved = np.hstack([one.inputs, rounding + 1e-6])
-    np.testing.assert_allclose(net.predict(moved), net.predict(whole.inputs), atol=1e-5)
-    net, _, _ = train([whole], SMALL)
-    assert np.abs(net.predict(whole.inputs)[:, 1] - 7).max() < 0.5
-
-
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        (lambda s: [], "there are no sequences"),
-        (lambda s: [s._replace(use=np.zeros(300, bool))], "to train on, no sample may be used"),
-        (lambda s: [s._replace(inputs=np.full((300, 1), np.nan))], "sequence 0 to train on holds"),
-        (lambda s: [s, s._replace(targets=np.full((300, 1), np.inf))], "sequence 1 to train on"),
-    ],
-)
-def test_what_cannot_be_learnt_from_is_rejected(torch, change, said):
-    with pytest.raises(FitError, match=said):
-        train(change(with_backlash(np.random.default_rng(0))), SMALL)
 
 
 def test_a_training_that_diverges_is_reported(torch):

@@ -304,23 +304,6 @@ def test_another_publisher_of_the_wrench_is_another_driver(harness, folder):
     harness.remove(other)
 
 
-def test_the_tools_tip_is_followed(harness, folder):
-    """By what gravcomp says of itself; not by what someone else of its name, elsewhere, says."""
-    bench = Bench(harness, folder / "good.json")
-    tip = {"tip_m": "0.15 0 0.05", "calibrated_at": "x", "tare": "none"}
-    bench.arm.say(tool="pointer", **tip)
-    values = bench.state("other_tip", Level.ERROR, "'pointer'", feed=bench.step)
-    assert "load a model of this tool" in values["message"]
-    assert values["gravcomp_tool"] == "pointer"
-    count = len(bench.arm.deflections)
-    bench.step()
-    assert bench.set_model(folder / "pointer.json").successful
-    bench.state("start_unknown", Level.OK, feed=bench.step)
-    bench.arm.say(tool="pointer", tare="ramping", **{k: v for k, v in tip.items() if k != "tare"})
-    bench.state("predicting", Level.WARN, "gravcomp's tare changed", feed=bench.step)
-    assert len(bench.arm.deflections) > count
-
-
 def test_with_gravcomp_itself(harness, folder):
     """Through the real compensation: a tool that the model is not for stops the deflection."""
     load = LoadEstimate(0.1, np.array([0.0, 0.0, 0.02]), np.eye(4) * 1e-8)

@@ -90,20 +90,6 @@ def walk(size, seed=0):
 # --- numbers ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("hysteresis", [True, False])
-def test_live_is_what_predict_gives(hysteresis):
-    wrenches, joints = walk(300)
-    wrenches[100:130] *= 20.0  # beyond the range
-    rig = Rig(made_model(hysteresis))
-    for wrench, at in zip(wrenches, joints, strict=True):
-        rig.step(wrench, tuple(at))
-    expected = offline(rig.deflector.model, wrenches, joints)
-    same(rig.outputs, expected)
-    assert 0 < expected.extrapolated.sum() < 300
-    assert rig.deflector.extrapolated == expected.extrapolated.sum()
-    assert [o.stamp_ns for o in rig.outputs] == [START + 2 * MS * (k + 1) for k in range(300)]
-
-
 def test_joints_are_those_of_the_wrenchs_stamp():
     rig = Rig()
     ahead = tuple(np.array(HOME) + [0.002, 0.0, -0.002, 0.02, 0.04])
@@ -198,37 +184,6 @@ def test_what_is_not_used_leaves_the_memory_as_it_was(step, reason, words):
     # after bad joints, those beside are not trusted either
     rig.step(after_ms=10), clean.step(after_ms=12)
     np.testing.assert_array_equal(rig.outputs[-1].predicted.mean, clean.outputs[-1].predicted.mean)
-
-
-def test_stale_and_missing_joints():
-    rig = Rig()
-    for k in range(60):
-        rig.results += rig.deflector.push_wrench(START + 2 * MS * k, PUSH, "ft_sensor")
-    assert not rig.outputs and {r.reason for r in rig.rejected} == {Rejection.NO_JOINTS}
-    rig.deflector.push_joints(START + 120 * MS, HOME)
-    for k in range(40):
-        rig.results += rig.deflector.push_wrench(START + (122 + 2 * k) * MS, PUSH, "ft_sensor")
-    assert not rig.outputs and rig.rejected[-1].reason is Rejection.STALE_JOINTS
-    assert "behind wrench_compensated" in rig.rejected[-1].detail
-
-
-def test_a_wrench_out_of_order_is_no_load_for_hysteresis():
-    rig, clean = Rig(), Rig()
-    for each in (rig, clean):
-        each.step()
-        each.step(2 * PUSH)
-    rig.results += rig.deflector.push_wrench(rig.stamp - MS, -9 * PUSH, "ft_sensor")
-    assert rig.rejected[-1].reason is ModelRejection.OUT_OF_ORDER
-    for each in (rig, clean):
-        each.step()
-    same(rig.outputs[-1:], offline_last(clean))
-
-
-def offline_last(rig):
-    last = rig.outputs[-1].predicted
-    return type(offline(MODEL, [PUSH], [HOME]))(
-        last.mean[None], last.covariance[None], np.array([last.extrapolated])
-    )
 
 
 def test_without_a_model_nothing_comes_out():

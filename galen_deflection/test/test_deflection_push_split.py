@@ -74,18 +74,6 @@ def test_every_sample_is_checked_once_and_pushes_stay_whole_with_the_pause_after
         assert [split.check[inside].any() for split in splits].count(True) == 1
 
 
-def test_every_fold_checks_at_every_position_and_the_same_push_at_one_only(samples):
-    pushes = found_pushes(samples)
-    number = {push.peak: k % 6 for k, push in enumerate(pushes)}
-    for split in push_splits(samples):
-        checked = [push for push in pushes if split.check[push.peak]]
-        assert {int(samples.position[push.peak]) for push in checked} == {0, 1, 2}
-        # Push k of the script, checked at one position, is fitted to at the others; six pushes in
-        # four folds come round once.
-        by_number = [number[push.peak] for push in checked]
-        assert max(map(by_number.count, by_number)) < 3
-
-
 def test_what_is_checked_is_scored_push_by_push(samples):
     splits = push_splits(samples)
     checked = checked_samples(samples, splits)
@@ -144,18 +132,6 @@ def test_what_is_checked_has_no_say_in_the_fit(samples, kind, name):
     assert (
         fit_without(kind, replace(samples, deflection=measured), split, settings).to_json() != seen
     )
-
-
-def test_where_whole_segments_are_checked_not_even_their_loads_are_shown(samples):
-    split = SPLITS["position"](samples)[2]
-    wrench = samples.wrench.copy()
-    wrench[split.check] *= 100.0
-    stronger = replace(samples, wrench=wrench)
-    fits = [
-        fit_without("joint_hysteresis", some, split, FitSettings()).to_json()
-        for some in (samples, stronger)
-    ]
-    assert fits[0] == fits[1]
 
 
 def test_one_position_alone_is_only_asked_by_pushes(samples):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from galen_deflection.errors import SplitError
 from galen_deflection.measurement.samples import DeflectionSamples
-from galen_deflection.scoring.cross_check import position_splits, report_splits, sets_of
+from galen_deflection.scoring.cross_check import position_splits, report_splits
 
 
 def make_samples(sets, segments_a_set=2, samples_a_segment=3):
@@ -45,12 +45,6 @@ def check_whole(samples, split):
     assert not shared
 
 
-def test_sets_are_pairs_of_position_and_number():
-    # Numbers count on over recordings, or begin anew at each position.
-    assert sets_of(make_samples(EIGHT)) == {k: [0, 1] for k in range(4)}
-    assert sets_of(make_samples([(5, 7), (2, 1), (5, 3)])) == {2: [1], 5: [3, 7]}
-
-
 def test_the_reports_split_is_six_sets_to_two():
     samples = make_samples(EIGHT)
     splits = report_splits(samples)
@@ -65,16 +59,6 @@ def test_the_reports_split_is_six_sets_to_two():
     # Together they check every sample once.
     assert np.array_equal(sum(split.check.astype(int) for split in splits), np.ones(len(samples)))
     assert splits[0].name == "set 1 of position 0, set 1 of position 1"
-
-
-def test_the_reports_split_of_other_numbers_of_sets():
-    samples = make_samples([(0, 0), (0, 1), (0, 2), (4, 0), (4, 1), (7, 3), (7, 9)])
-    splits = report_splits(samples)
-    checked = [pairs(samples, split.check) for split in splits]
-    assert checked == [[(0, 2)], [(4, 1), (7, 9)], [(0, 1)], [(4, 0), (7, 3)]]
-    for split in splits:
-        check_whole(samples, split)
-        assert set(samples.position[~split.check]) == {0, 4, 7}
 
 
 def test_a_position_left_out_is_left_out_with_all_its_sets():
