@@ -13,7 +13,7 @@ played again): what was before it is dropped.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,11 +35,10 @@ _RESTART_NS = int(RESTART_S * NS_PER_S)
 
 @dataclass(frozen=True)
 class StreamSamples:
-    """stamps_ns (n,) int64, rising; values (n, width). run: another one after each restart."""
+    """stamps_ns (n,) int64, rising; values (n, width)."""
 
     stamps_ns: np.ndarray
     values: Array
-    run: int = 0
 
     @property
     def newest_ns(self) -> int | None:
@@ -54,7 +53,6 @@ class StreamSeries:
         self._stamps = np.zeros(rows, dtype=np.int64)
         self._values = np.zeros((rows, width))
         self._count = 0
-        self._run = 0
         self._span_ns = int(seconds * NS_PER_S)
         self._lock = threading.Lock()
 
@@ -79,7 +77,7 @@ class StreamSeries:
                     self._write(stamps[taken], rows[taken])
                     return
                 # What came before a restart is dropped with all that was there.
-                self._restart()
+                self._count = 0
                 stamps, rows = stamps[back[0] :], rows[back[0] :]
 
     @property
@@ -109,10 +107,6 @@ class StreamSeries:
 
     def _newest(self) -> int:
         return int(self._stamps[(self._count - 1) % len(self._stamps)])
-
-    def _restart(self) -> None:
-        self._count = 0
-        self._run += 1
 
     def _rises(self, stamps: np.ndarray) -> bool:
         """Whether nothing is to be left out, as nearly always."""
@@ -144,7 +138,7 @@ class StreamSeries:
             first = int(np.searchsorted(self._stamps[part], stamp_ns))
             stamps.append(self._stamps[part][first:])
             values.append(self._values[part][first:])
-        return StreamSamples(np.concatenate(stamps), np.concatenate(values), self._run)
+        return StreamSamples(np.concatenate(stamps), np.concatenate(values))
 
 
 class History:
@@ -197,21 +191,18 @@ def _lines(*streams: StreamSamples) -> Iterator[str]:
         yield text.replace("nan", "")
 
 
-@dataclass(frozen=True)
-class PlotRows:
-    """What is drawn: stamps_ns (n,) int64, rising, and values (n, width); NaN ends a line."""
-
-    stamps_ns: np.ndarray
-    values: Array
-
-    def __len__(self) -> int:
-        return len(self.stamps_ns)
+def bucket_ns(span_s: float) -> int:
+    """Return a bucket's width for a window of this length."""
+    return max(1, int(span_s * NS_PER_S) // BUCKETS)
 
 
-def decimate(stamps_ns: np.ndarray, values: Array, width_ns: int) -> PlotRows:
-    """Reduce to two rows or one a bucket; stamps (n,) rising, values (n, columns). O(n)."""
+def plot_rows(stamps_ns: np.ndarray, values: Array, width_ns: int) -> tuple[np.ndarray, Array]:
+    """Reduce to two rows or one a bucket, with a row of NaN at the end of each gap. O(n).
+
+    stamps (n,) rising, values (n, columns); returns the same of what is drawn.
+    """
     if not len(stamps_ns):
-        return PlotRows(stamps_ns, values)
+        return stamps_ns, values
     number = stamps_ns // width_ns
     first = np.flatnonzero(np.r_[True, number[1:] != number[:-1]])
     last = np.r_[first[1:], len(number)] - 1
@@ -222,83 +213,8 @@ def decimate(stamps_ns: np.ndarray, values: Array, width_ns: int) -> PlotRows:
     times = np.stack([stamps_ns[first], stamps_ns[last]], axis=1)
     kept = np.ones(times.shape, dtype=bool)
     kept[:, 1] = last > first
-    return PlotRows(times[kept], pairs[kept])
-
-
-def with_gaps(rows: PlotRows, width_ns: int, before_ns: int | None = None) -> PlotRows:
-    """Add a row of NaN at the end of each gap; before_ns: the stamp before the rows."""
-    if not len(rows):
-        return rows
+    stamps, rows = times[kept], pairs[kept]
     # A bucket's own two rows are up to its width apart.
     gap_ns = max(int(GAP_S * NS_PER_S), 3 * width_ns // 2)
-    earlier = rows.stamps_ns[0] if before_ns is None else before_ns
-    steps = np.diff(rows.stamps_ns, prepend=earlier)
-    at = np.flatnonzero(steps > gap_ns)
-    # Not in the midst of the gap: a row before `Patch.from_ns` would be sent twice.
-    stamps = np.insert(rows.stamps_ns, at, rows.stamps_ns[at])
-    return PlotRows(stamps, np.insert(rows.values, at, np.nan, axis=0))
-
-
-def bucket_ns(span_s: float) -> int:
-    """Return a bucket's width for a window of this length."""
-    return max(1, int(span_s * NS_PER_S) // BUCKETS)
-
-
-@dataclass(frozen=True)
-class Patch:
-    """What a browser has to change: drop its rows from `from_ns` on, append `rows`.
-
-    whole: it has to begin anew. newest_ns: the series' newest stamp, None without samples.
-    """
-
-    from_ns: int
-    rows: PlotRows
-    whole: bool
-    newest_ns: int | None
-
-
-class Follower:
-    """One browser's place in one series: what is new since the last patch that arrived."""
-
-    def __init__(self, series: StreamSeries, curves: Callable[[Array], Array] = np.asarray) -> None:
-        """`curves`: what is drawn (n, columns) of the series' values (n, width)."""
-        self._series = series
-        self._curves = curves
-        self._width_ns = 1
-        self._span_ns = 0
-        self.forget()
-
-    def look_at(self, span_s: float, width_ns: int) -> None:
-        """Follow the last `span_s` seconds in buckets of this width from now on."""
-        self._span_ns, self._width_ns = int(span_s * NS_PER_S), width_ns
-        self.forget()
-
-    def forget(self) -> None:
-        """Make the next patch whole: the browser has nothing."""
-        self._run: int | None = None
-        self._newest_ns: int | None = None
-        self._from_ns = 0
-        self._before_ns: int | None = None
-
-    def patch(self) -> Patch:
-        """Return what is new; call `forget` where it did not arrive."""
-        samples = self._series.since(self._from_ns)
-        whole = samples.run != self._run
-        if whole:
-            samples = self._series.last(self._span_ns / NS_PER_S)
-            self._from_ns, self._before_ns, self._newest_ns = 0, None, None
-        self._run = samples.run
-        from_ns, newest = self._from_ns, samples.newest_ns
-        if newest == self._newest_ns and not whole:
-            nothing = PlotRows(samples.stamps_ns[:0], samples.values[:0])
-            return Patch(0 if newest is None else newest + 1, nothing, whole, newest)
-        self._newest_ns = newest
-        rows = decimate(samples.stamps_ns, self._curves(samples.values), self._width_ns)
-        rows = with_gaps(rows, self._width_ns, self._before_ns)
-        if newest is not None:
-            # The newest bucket may still grow: it is sent again.
-            self._from_ns = newest // self._width_ns * self._width_ns
-            earlier = int(np.searchsorted(samples.stamps_ns, self._from_ns))
-            if earlier:
-                self._before_ns = int(samples.stamps_ns[earlier - 1])
-        return Patch(from_ns, rows, whole, newest)
+    at = np.flatnonzero(np.diff(stamps, prepend=stamps[0]) > gap_ns)
+    return np.insert(stamps, at, stamps[at]), np.insert(rows, at, np.nan, axis=0)

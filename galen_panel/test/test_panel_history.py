@@ -8,12 +8,10 @@ from galen_panel.history import (
     HEADER,
     NS_PER_S,
     RESTART_S,
-    Follower,
     StreamSamples,
     StreamSeries,
     bucket_ns,
-    decimate,
-    with_gaps,
+    plot_rows,
 )
 from galen_panel.history import csv as written
 
@@ -114,111 +112,51 @@ MS = NS_PER_S // 1000
 def swing(count, period_ms=2, start_ms=1_000_000):
     rng = np.random.default_rng(3)
     stamps = (start_ms + period_ms * np.arange(count)) * MS
-    values = np.cumsum(rng.normal(size=(count, 3)), axis=0)
-    return stamps, values
+    return stamps, np.cumsum(rng.normal(size=(count, 3)), axis=0)
 
 
-def test_no_peak_is_lost():
+def test_no_peak_is_lost_in_some_600_rows():
     stamps, values = swing(30_000)
     values[12_345, 1], values[777, 0] = 1e6, -1e6
-    rows = decimate(stamps, values, 200 * MS)
-    assert len(rows) == 600
+    drawn, rows = plot_rows(stamps, values, 200 * MS)
+    assert len(drawn) == 600
     for number in np.unique(stamps // (200 * MS)):
-        inside, drawn = stamps // (200 * MS) == number, rows.stamps_ns // (200 * MS) == number
-        assert rows.values[drawn].min(axis=0).tolist() == values[inside].min(axis=0).tolist()
-        assert rows.values[drawn].max(axis=0).tolist() == values[inside].max(axis=0).tolist()
+        inside, shown = stamps // (200 * MS) == number, drawn // (200 * MS) == number
+        assert rows[shown].min(axis=0).tolist() == values[inside].min(axis=0).tolist()
+        assert rows[shown].max(axis=0).tolist() == values[inside].max(axis=0).tolist()
+    for span in (10, 30, 60):
+        taken = stamps >= stamps[-1] - span * NS_PER_S
+        drawn, _ = plot_rows(stamps[taken], values[taken], bucket_ns(span))
+        assert len(drawn) <= 2 * BUCKETS + 2
 
 
-def test_a_slow_curve_has_no_teeth():
+def test_a_slow_curve_has_no_teeth_and_few_samples_are_drawn_as_they_are():
     stamps = np.arange(1000) * MS
-    up = decimate(stamps, np.arange(1000.0)[:, None], 100 * MS).values.ravel()
-    down = decimate(stamps, -np.arange(1000.0)[:, None], 100 * MS).values.ravel()
-    assert (np.diff(up) > 0).all()
-    assert (np.diff(down) < 0).all()
+    _, up = plot_rows(stamps, np.arange(1000.0)[:, None], 100 * MS)
+    _, down = plot_rows(stamps, -np.arange(1000.0)[:, None], 100 * MS)
+    assert (np.diff(up.ravel()) > 0).all() and (np.diff(down.ravel()) < 0).all()
+    stamps, values = swing(20, period_ms=10)
+    drawn, rows = plot_rows(stamps, values, 4 * MS)
+    assert drawn.tolist() == stamps.tolist() and rows.tolist() == values.tolist()
+
+
+def test_full_buckets_stay_as_they_are_when_the_window_moves():
+    stamps, values = swing(5000)
+    early = plot_rows(stamps[:4000], values[:4000], 40 * MS)
+    late = plot_rows(stamps[500:], values[500:], 40 * MS)
+    begin, end = stamps[520], stamps[3960] // (40 * MS) * (40 * MS)
+    (one, one_rows), (two, two_rows) = (
+        (drawn[kept], rows[kept])
+        for drawn, rows in (early, late)
+        for kept in [(drawn >= begin) & (drawn < end)]
+    )
+    assert one.tolist() == two.tolist() and one_rows.tolist() == two_rows.tolist()
 
 
 def test_a_gap_ends_the_line_and_a_wide_bucket_is_no_gap():
     stamps = np.r_[np.arange(0, 1000, 2), np.arange(1400, 2000, 2)] * MS
-    rows = with_gaps(decimate(stamps, np.ones((len(stamps), 1)), 100 * MS), 100 * MS)
-    broken = np.flatnonzero(np.isnan(rows.values[:, 0]))
-    assert rows.stamps_ns[broken].tolist() == [1400 * MS]
-    assert rows.stamps_ns[broken - 1].tolist() == [998 * MS]
-    wide = with_gaps(decimate(stamps, np.ones((len(stamps), 1)), 400 * MS), 400 * MS)
-    assert not np.isnan(wide.values).any()
-
-
-def drawn(stamps, values, width):
-    return with_gaps(decimate(stamps, values, width), width)
-
-
-class Browser:
-    """Keeps rows as the page's script does."""
-
-    def __init__(self):
-        self.stamps, self.values = [], []
-
-    def take(self, patch):
-        keep = 0 if patch.whole else int(np.searchsorted(self.stamps, patch.from_ns))
-        self.stamps[keep:] = patch.rows.stamps_ns.tolist()
-        self.values[keep:] = patch.rows.values.tolist()
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_patches_add_up_to_what_all_samples_give(seed):
-    rng = np.random.default_rng(seed)
-    series = StreamSeries(3)
-    follower, browser = Follower(series), Browser()
-    follower.look_at(60.0, 200 * MS)
-    stamps, values = swing(8000)
-    kept = np.ones(8000, dtype=bool)
-    kept[3000:3400] = False
-    stamps, values = stamps[kept], values[kept]
-    done = 0
-    while done < len(stamps):
-        step = int(rng.integers(0, 250))
-        series.append(stamps[done : done + step], values[done : done + step])
-        done += step
-        browser.take(follower.patch())
-    browser.take(follower.patch())
-    expected = drawn(stamps, values, 200 * MS)
-    assert browser.stamps == expected.stamps_ns.tolist()
-    assert np.array_equal(browser.values, expected.values, equal_nan=True)
-    assert int(np.isnan(expected.values[:, 0]).sum()) == 1
-
-
-def test_a_patch_holds_what_is_new():
-    series = StreamSeries(3)
-    follower = Follower(series)
-    follower.look_at(60.0, 200 * MS)
-    stamps, values = swing(30_000)
-    series.append(stamps[:29_900], values[:29_900])
-    assert follower.patch().whole
-    series.append(stamps[29_900:], values[29_900:])
-    patch = follower.patch()
-    assert not patch.whole
-    assert 1 <= len(patch.rows) <= 6
-    assert not len(follower.patch().rows), "nothing came since"
-    follower.forget()
-    assert follower.patch().whole
-
-
-def test_after_a_restart_the_browser_begins_anew():
-    series = StreamSeries(3)
-    follower, browser = Follower(series), Browser()
-    follower.look_at(60.0, 200 * MS)
-    stamps, values = swing(1000)
-    series.append(stamps, values)
-    browser.take(follower.patch())
-    series.append(stamps[:100] - 500_000 * MS, values[:100])
-    patch = follower.patch()
-    assert patch.whole
-    browser.take(patch)
-    expected = drawn(stamps[:100] - 500_000 * MS, values[:100], 200 * MS)
-    assert browser.stamps == expected.stamps_ns.tolist()
-
-
-def test_a_window_is_at_most_some_600_rows():
-    stamps, values = swing(60_000)
-    for span in (10, 30, 60, 120):
-        taken = stamps >= stamps[-1] - span * NS_PER_S
-        assert len(decimate(stamps[taken], values[taken], bucket_ns(span))) <= 2 * BUCKETS + 2
+    drawn, rows = plot_rows(stamps, np.ones((len(stamps), 1)), 100 * MS)
+    broken = np.flatnonzero(np.isnan(rows[:, 0]))
+    assert drawn[broken].tolist() == [1400 * MS] and drawn[broken - 1].tolist() == [998 * MS]
+    _, wide = plot_rows(stamps, np.ones((len(stamps), 1)), 400 * MS)
+    assert not np.isnan(wide).any()

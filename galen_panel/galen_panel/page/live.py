@@ -22,19 +22,17 @@ from nicegui import run, ui
 
 from galen_panel.history import (
     NS_PER_S,
-    Follower,
-    Patch,
     StreamSamples,
     StreamSeries,
     bucket_ns,
     csv,
+    plot_rows,
 )
 from galen_panel.page.arm import ArmView
 from galen_panel.page.page import Page
 from galen_panel.page.plot_options import (
     DEFLECTION_NAMES,
     HEIGHT_PX,
-    Option,
     deflection_curves,
     headings,
     look,
@@ -99,20 +97,21 @@ class Plots:
 
     def __init__(self, page: Page) -> None:
         self._page = page
+        self._series = self._live()
         self._window_s = float(_FIRST_WINDOW_S)
         self._paused = False
-        self._base_ns: int | None = None
-        self._option: Option | None = None
+        self._sent: tuple[object, ...] | None = None
         self._means_at_s = -math.inf
         self._means: dict[str, tuple[ui.label, ui.label]] = {}
         self._build()
-        self._follow(self._live())
 
     async def update(self) -> None:
         """Bring what is new to the browser, and wait until it is there."""
-        patches = [follower.patch() for follower in self._followers]
-        if not await self._send_patches(patches):
-            self._forget()
+        newest_ns = max(series.newest_ns or 0 for series in self._series)
+        # In a long window there is nothing to be seen of what is shorter than a bucket.
+        new = (newest_ns // bucket_ns(self._window_s), self._window_s, self._series)
+        if newest_ns and new != self._sent:
+            self._sent = new if await self._send(newest_ns) else None
         now_s = time.monotonic()
         if now_s - self._means_at_s >= _MEAN_PERIOD_S:
             self._means_at_s = now_s
@@ -149,75 +148,40 @@ class Plots:
             f"Numbers: mean of the last {MEAN_S:.0f} s. Zoom: the bar below the plots, or Shift and"
             " the wheel. The CSV has every sample."
         )
-        script = f"galenPlots.follow({self._chart.id})"
+        looks = json.dumps([look(dark=False), look(dark=True)])
+        script = f"galenPlots.follow({self._chart.id}, {looks})"
         ui.timer(0.0, lambda: self._chart.client.run_javascript(script), once=True)
 
     def _live(self) -> tuple[StreamSeries, ...]:
         history = self._page.suite.history
         return history.raw, history.compensated, history.deflection
 
-    def _follow(self, series: tuple[StreamSeries, ...]) -> None:
-        self._series = series
-        self._followers = [Follower(one, c) for one, c in zip(series, _CURVES, strict=True)]
-        self._look_at(self._window_s)
-
-    async def _ask(self, script: str) -> bool:
-        """Whether the browser answers that it is done."""
+    async def _send(self, newest_ns: int) -> bool:
+        """Send all of the window, few rows of it; returns whether the browser has drawn it."""
+        start_ns, width_ns = newest_ns - int(self._window_s * NS_PER_S), bucket_ns(self._window_s)
+        streams = []
+        for series, curves in zip(self._series, _CURVES, strict=True):
+            samples = series.since(start_ns)
+            stamps, rows = plot_rows(samples.stamps_ns, curves(samples.values), width_ns)
+            times = np.round((stamps - newest_ns) / NS_PER_S, 4)
+            streams.append({"source": np.column_stack([times, np.round(rows, 4)]).tolist()})
+        option = time_span(self._window_s) | {"dataset": streams}
+        script = f"galenPlots.show({self._chart.id}, {json.dumps(option)})"
         try:
             answer = await self._chart.client.run_javascript(script, timeout=_ANSWER_S)
         except TimeoutError:
             return False
         return answer is True
 
-    def _look_at(self, window_s: float) -> None:
-        self._window_s = window_s
-        for follower in self._followers:
-            follower.look_at(window_s, bucket_ns(window_s))
-        self._begin(time_span(window_s))
-
-    def _begin(self, option: Option) -> None:
-        """Make the next message whole, and bring this option with it."""
-        self._option = option
-        self._base_ns = None
-
-    def _forget(self) -> None:
-        for follower in self._followers:
-            follower.forget()
-        self._begin(time_span(self._window_s))
-
-    async def _send_patches(self, patches: list[Patch]) -> bool:
-        newest = [patch.newest_ns for patch in patches if patch.newest_ns is not None]
-        if not newest:
-            return True
-        if self._option is None and not any(len(patch.rows) or patch.whole for patch in patches):
-            return True
-        now_ns = max(newest)
-        if self._base_ns is None:
-            self._base_ns = now_ns
-        streams = [_stream(patch, self._base_ns) for patch in patches]
-        message: Option = {
-            "now": _ms(now_ns - self._base_ns),
-            "span": self._window_s,
-            "streams": streams,
-        }
-        option = self._option
-        if option is not None:
-            message |= {"option": option, "looks": [look(dark=False), look(dark=True)]}
-        script = f"galenPlots.patch({self._chart.id}, {json.dumps(message)})"
-        arrived = await self._ask(script)
-        if arrived and self._option is option:
-            self._option = None
-        return arrived
-
     def _choose_window(self, seconds: object) -> None:
         if seconds in WINDOWS_S:
-            self._look_at(float(str(seconds)))
+            self._window_s = float(str(seconds))
 
     def _toggle_pause(self) -> None:
         """Hold what is there now, 120 s of it; resume with what has come since."""
         self._paused = not self._paused
         live = self._live()
-        self._follow(tuple(series.frozen() for series in live) if self._paused else live)
+        self._series = tuple(series.frozen() for series in live) if self._paused else live
         self._pause.set_text("Resume" if self._paused else "Pause")
         self._pause.set_icon("play_arrow" if self._paused else "pause")
         self._pause.props(f"aria-pressed={'true' if self._paused else 'false'}")
@@ -252,19 +216,6 @@ class Plots:
             beside.set_text(f"raw {_text(gross, digits)}")
         size = deflection[DEFLECTION_NAMES.index("size")]
         self._means["tip"][0].set_text(_text(size, 3))
-
-
-def _stream(patch: Patch, base_ns: int) -> Option:
-    times = np.round((patch.rows.stamps_ns - base_ns) / 1e6, 1)
-    return {
-        "whole": patch.whole,
-        "from": _ms(patch.from_ns - base_ns),
-        "rows": np.column_stack([times, patch.rows.values]).tolist(),
-    }
-
-
-def _ms(duration_ns: int) -> float:
-    return round(duration_ns / 1e6, 1)
 
 
 def _mean(values: Array) -> Array:

@@ -36,13 +36,13 @@ _DASHES = ("solid", "dashed", "dotted", "solid")
 
 def wrench_curves(values: Array) -> Array:
     """Turn wrenches (n, 6) in N and N·m into N and mN·m."""
-    return np.round(values * [1, 1, 1, 1e3, 1e3, 1e3], 4)
+    return np.asarray(values * [1, 1, 1, 1e3, 1e3, 1e3])
 
 
 def deflection_curves(values: Array) -> Array:
     """Turn deflections (n, 6) in m and rad into x, y, z and their size (n, 4) in mm."""
     sizes = np.linalg.norm(values[:, :3], axis=1)
-    return np.round(1e3 * np.column_stack([values[:, :3], sizes]), 5)
+    return 1e3 * np.column_stack([values[:, :3], sizes])
 
 
 def headings() -> list[tuple[str, str, str]]:
