@@ -2,7 +2,7 @@
 
     python -m benchmarks.calibrate_diagnosis CASES [--per-class N] [--write]
 
-makes recordings by the blind plant, with seeds and unknown kinds that `blind_check` never uses,
+makes recordings by the blind arm, with seeds and unknown kinds that `blind_check` never uses,
 explores each (CASES keeps what came out, so that a run can be taken up again), and fits the
 settings of `posterior.py` to the largest mean log probability of what was there, every kind of case
 counting the same, with a prior about the settings' defaults. Half of the sessions are fitted, the
@@ -23,9 +23,8 @@ from typing import Any
 
 import numpy as np
 from galen_diagnosis.answer.answer import NONE
-from galen_diagnosis.blind.plant.case import Case, generate
-from galen_diagnosis.blind.plant.listed import EFFECTS, PAIRS
-from galen_diagnosis.blind.plant.unlisted import CALIBRATION_UNKNOWN
+from galen_diagnosis.blind.case import Case, generate
+from galen_diagnosis.blind.causes import CALIBRATION_UNKNOWN, EFFECTS, PAIRS
 from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.inference.diagnosing import explore
 from galen_diagnosis.inference.posterior import Posterior, Scored, Settings, posterior

@@ -1,8 +1,8 @@
 """`blind_check`: the diagnosis on recordings whose cause it can't know, and what came of it.
 
-Recordings are made by a plant of other laws than the diagnosis fits (`blind/plant`). Their labels
-are sealed and the hash is told; another process diagnoses; then the labels are opened and all is
-scored, beside simpler methods. `blind/blind_protocol.py` says what is hidden from whom.
+Recordings are made by an arm in MuJoCo (`blind/mujoco_arm.py`). Their labels are sealed and the
+hash is printed; another process diagnoses; then the labels are opened and all is scored, beside
+simpler methods. `blind/blind_protocol.py` says what is hidden from whom.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import json
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,6 @@ from galen_model.files.atomic_file import write_whole
 from galen_ros.command import (
     EXIT_OK,
     add_json,
-    add_plots,
     add_workers,
     check_folder,
     make_parser,
@@ -29,7 +28,9 @@ from galen_ros.command import (
     run_command,
     terminal,
     whole,
+    writing,
 )
+from rich.markdown import Markdown
 
 from galen_diagnosis.blind.blind_protocol import (
     DIAGNOSING,
@@ -40,11 +41,12 @@ from galen_diagnosis.blind.blind_protocol import (
     open_labels,
     sealed_set,
 )
+from galen_diagnosis.blind.case import generate
 from galen_diagnosis.blind.making import Generate, Planned, full_plan, short_plan, thinned
-from galen_diagnosis.blind.plant.case import generate
-from galen_diagnosis.blind.scoring.score import Answered, Score, score, to_json, wrong_answers
-from galen_diagnosis.blind.scoring.table import PROGRAM, markdown, print_scores
+from galen_diagnosis.blind.mujoco_arm import require_mujoco
+from galen_diagnosis.blind.score import Answered, Score, score, wrong_answers
 from galen_diagnosis.blind.seal import forget, private_directory
+from galen_diagnosis.blind.table import PROGRAM, markdown
 from galen_diagnosis.effects.candidates import SOUGHT
 
 _NOTES = """An interrupted check goes on where it stopped, if it is called again with the same
@@ -53,7 +55,7 @@ wrong."""
 
 
 def build_parser() -> argparse.ArgumentParser:
-    """The command's options."""
+    """Return the command's options."""
     parser = make_parser(
         "blind_check",
         "Make recordings with hidden causes, seal the labels, diagnose in another"
@@ -85,7 +87,7 @@ def build_parser() -> argparse.ArgumentParser:
         "--seed",
         type=whole(0),
         metavar="N",
-        help="makes the same recordings again (default: a random one, told when all is open)",
+        help="makes the same recordings again (default: a random one, shown when all is open)",
     )
     parser.add_argument(
         "--output",
@@ -101,11 +103,7 @@ def build_parser() -> argparse.ArgumentParser:
         " the recording can't separate taken as one) is below this, 0 ... 1; with --short also if"
         " one of its answers is wrong; for CI",
     )
-    add_plots(parser)
     add_json(parser)
-    parser.add_argument(
-        "--readme", action="store_true", help="print the tables as Markdown, for a README"
-    )
     add_workers(parser)
     return parser
 
@@ -123,11 +121,11 @@ def run(
     command: Sequence[str] = DIAGNOSING,
     generate: Generate = generate,
 ) -> int:
-    """The whole check in `output`; returns the exit code; raises GalenError."""
+    """Run the whole check in `output`; returns the exit code; raises GalenError."""
     check_folder(output)
-    check_folder(arguments.plots)
-    say = _sayer(arguments)
     places = Places(output)
+    if not places.labels.exists():
+        require_mujoco()
     wanted: dict[str, Any] = {
         "short": arguments.short,
         "per_class": None if arguments.short else arguments.per_class,
@@ -139,44 +137,45 @@ def run(
         return whole if arguments.cases is None else thinned(whole, arguments.cases)
 
     started_s = time.monotonic()
-    told = sealed_set(places, wanted, arguments.seed, plan, arguments.workers, generate)
+    sha256 = sealed_set(places, wanted, arguments.seed, plan, arguments.workers, generate)
     made_s = time.monotonic()
-    say(f"labels sealed before any diagnosis, SHA-256 {told}")
+    _say(arguments, f"labels sealed before any diagnosis, SHA-256 {sha256}")
     if not places.labels.exists():
         locked_out = diagnose_blind(places, arguments.workers, arguments.scheduler, command)
         if arguments.scheduler is not None:
-            say("diagnosed by a scheduler's workers, which nothing but ignorance kept from labels")
+            how = "a scheduler's workers, which nothing but ignorance kept from labels"
         elif locked_out:
-            say("diagnosed by a process that the system kept from reading the labels")
+            how = "a process that the system kept from reading the labels"
         else:
-            say("diagnosed by a process that wasn't told where the labels are; this system can't"
-                " keep it from reading them")  # fmt: skip
-    labels = open_labels(places, told)
-    say("labels opened: they are those that were sealed")
+            how = (
+                "a process that doesn't know where the labels are; this system can't keep it from"
+                " reading them"
+            )
+        _say(arguments, f"diagnosed by {how}")
+    labels = open_labels(places, sha256)
+    _say(arguments, "labels opened: they are those that were sealed")
     ended_s = time.monotonic()
     cases = answered(places, labels)
-    scores = {PROGRAM: score(cases, tuple(SOUGHT))}
-    scores |= {
-        name: score(found, tuple(SOUGHT)) for name, found in baselines(places, labels).items()
+    beside = baselines(places, labels)
+    scores = {
+        name: score(found, tuple(SOUGHT)) for name, found in {PROGRAM: cases, **beside}.items()
     }
     content = {
-        "schema_version": 1,
-        "labels_sha256": told,
+        "schema_version": 2,
+        "labels_sha256": sha256,
         "making_s": made_s - started_s,
         "diagnosing_s": ended_s - made_s,
-        "scores": {name: to_json(one) for name, one in scores.items()},
+        "scores": {name: one.to_json() for name, one in scores.items()},
     }
-    _write(output / "blind_check.json", json.dumps(content, indent=1))
-    pictures = [] if arguments.plots is None else _pictures(scores[PROGRAM], arguments.plots)
+    tables = markdown(scores)
+    for name, text in (("json", json.dumps(content, indent=1)), ("md", tables + "\n")):
+        path = output / f"blind_check.{name}"
+        with writing(path):
+            write_whole(path, text)
     if arguments.json:
         print(json.dumps(content, indent=1))
-    elif arguments.readme:
-        print(markdown(scores))
     else:
-        console = terminal(150)
-        print_scores(scores, console)
-        for picture in pictures:
-            console.print(f"picture: {picture}", soft_wrap=True)
+        terminal(150).print(Markdown(tables))
     if scores[PROGRAM].failed == len(labels):
         raise GalenError(f"{output}: no recording could be diagnosed; {_first_failure(places)}")
     if arguments.at_least is not None:
@@ -187,13 +186,12 @@ def run(
 
 
 def check_score(found: Score, at_least: float) -> None:
-    """Raise GalenError unless all were diagnosed and enough singles were told right."""
+    """Raise GalenError unless all were diagnosed and enough singles were right."""
     if found.failed:
         raise GalenError(f"{found.failed} of {found.cases} diagnoses failed")
-    if found.by_class_accepted is not None and found.by_class_accepted < at_least:
-        raise GalenError(
-            f"top-1 by class is {found.by_class_accepted:.3f}, below the {at_least:g} wanted"
-        )
+    reached = found.numbers["top1_by_class_accepted"]
+    if reached is not None and reached < at_least:
+        raise GalenError(f"top-1 by class is {reached:.3f}, below the {at_least:g} wanted")
 
 
 def check_answers(cases: Sequence[Answered]) -> None:
@@ -202,32 +200,15 @@ def check_answers(cases: Sequence[Answered]) -> None:
         raise GalenError(f"{len(wrong)} of {len(cases)} answers are wrong: {'; '.join(wrong)}")
 
 
-def _sayer(arguments: argparse.Namespace) -> Callable[[str], None]:
-    """Where the course is told: beside what --json and --readme print."""
-    stream = sys.stderr if arguments.json or arguments.readme else sys.stdout
-    return lambda text: print(text, file=stream, flush=True)
-
-
-def _pictures(found: Score, folder: Path) -> list[Path]:
-    from galen_diagnosis.blind.scoring.pictures import draw_pictures  # matplotlib is slow to import
-
-    try:
-        return draw_pictures(found, folder)
-    except OSError as error:
-        raise GalenError(f"{folder}: can't be written: {error.strerror}") from error
-
-
-def _write(path: Path, text: str) -> None:
-    try:
-        write_whole(path, text)
-    except OSError as error:
-        raise GalenError(f"{path}: can't be written: {error.strerror}") from error
+def _say(arguments: argparse.Namespace, text: str) -> None:
+    """Print beside what --json prints."""
+    print(text, file=sys.stderr if arguments.json else sys.stdout, flush=True)
 
 
 def _first_failure(places: Places) -> str:
     for path in sorted(places.answers.glob("*/failed.txt")):
         return path.read_text(encoding="utf-8").strip()
-    return "the diagnosing process says nothing"
+    return "the diagnosing process gave no reason"
 
 
 def main(args: Sequence[str] | None = None) -> int:

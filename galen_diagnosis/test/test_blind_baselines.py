@@ -1,26 +1,26 @@
 import numpy as np
 import pytest
 from galen_diagnosis.blind.answers import parse_answer
-from galen_diagnosis.blind.baselines import NAIVE_BIC, RMSE_DROP, Rest, simple_answers
+from galen_diagnosis.blind.baselines import NAIVE_BIC, RMSE_DROP, explained, simple_answers
+from galen_diagnosis.blind.case import Case, generate
 from galen_diagnosis.blind.making import oracle_closed
-from galen_diagnosis.blind.plant.case import Case, generate
 from galen_diagnosis.observation.recording import read_recording
+from galen_model.evidence.linear import Background
 
 
-def test_leftover_is_that_of_a_least_squares_fit():
+def test_what_columns_explain_is_that_of_a_least_squares_fit():
     random = np.random.default_rng(0)
     unknowns, columns = random.normal(size=(300, 4)), random.normal(size=(300, 3))
     residual = random.normal(size=300) + columns @ [0.5, 0.0, -0.3]
-    rest = Rest(residual, unknowns)
-    both = np.column_stack([unknowns, columns])
-    expected = np.linalg.lstsq(both, residual, rcond=None)[1][0]
-    left, k = rest.left_by(columns)
-    assert (left, k) == (pytest.approx(expected), 3)
-    alone = np.linalg.lstsq(unknowns, residual, rcond=None)[1][0]
-    assert rest.sum_of_squares == pytest.approx(alone)
-    # what the unknowns explain already takes nothing away, nor does a column of zeros
-    assert rest.left_by(unknowns[:, :2])[0] == pytest.approx(rest.sum_of_squares)
-    assert rest.left_by(np.zeros((300, 2)))[0] == pytest.approx(rest.sum_of_squares)
+    behind = Background(unknowns, np.full(4, np.inf))
+    both = np.linalg.lstsq(np.column_stack([unknowns, columns]), residual, rcond=None)[1][0]
+    alone = behind.sum_of_squares(residual)
+    assert alone == pytest.approx(np.linalg.lstsq(unknowns, residual, rcond=None)[1][0])
+    assert explained(behind, columns, residual) == pytest.approx(alone - both)
+    # Columns twice, such as the unknowns explain already, and zeros add nothing.
+    more = np.column_stack([columns, columns, unknowns[:, :2], np.zeros((300, 2))])
+    assert explained(behind, more, residual) == pytest.approx(alone - both)
+    assert explained(behind, np.zeros((300, 2)), residual) == 0.0
 
 
 def test_the_simple_methods_answer_as_they_are_known_to():
@@ -41,11 +41,11 @@ def test_the_simple_methods_answer_as_they_are_known_to():
 
 def test_the_oracle_closes_what_the_cause_does_and_no_more(tmp_path):
     healthy, twin, sick = (tmp_path / name for name in ("healthy", "twin", "sick"))
-    bags = ("sweep",)
+    bags = ("motion",)
     generate(Case(31, "none", bags=bags), healthy)
     generate(Case(31, "single", ("joint_zero_offset:tilt",), "gross", bags), sick, twin)
     # The same arm, the same noise: the twin is what a healthy recording of this seed is.
-    one, other = (read_recording(path).bags["sweep"] for path in (healthy, twin))
+    one, other = (read_recording(path).bags["motion"] for path in (healthy, twin))
     assert np.array_equal(one.wrenches, other.wrenches)
     assert oracle_closed(sick, twin) == pytest.approx(1.0, abs=0.02)
     assert oracle_closed(sick, sick) == pytest.approx(0.0, abs=0.02)

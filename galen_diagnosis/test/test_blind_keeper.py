@@ -9,11 +9,10 @@ import pytest
 from galen_diagnosis.blind import confine
 from galen_diagnosis.blind.answers import Label, ParsedAnswer
 from galen_diagnosis.blind.blind_protocol import Places, open_labels, sealed_set
+from galen_diagnosis.blind.case import STRENGTHS, Truth
+from galen_diagnosis.blind.causes import CALIBRATION_UNKNOWN, EFFECTS, TEST_UNKNOWN
 from galen_diagnosis.blind.making import CALIBRATION, TEST, full_plan, make_all, short_plan, thinned
-from galen_diagnosis.blind.plant.case import STRENGTHS, Truth
-from galen_diagnosis.blind.plant.listed import EFFECTS
-from galen_diagnosis.blind.plant.unlisted import CALIBRATION_UNKNOWN, TEST_UNKNOWN
-from galen_diagnosis.blind.scoring.score import Answered, score
+from galen_diagnosis.blind.score import Answered, score
 from galen_diagnosis.blind.seal import SealError, opened, private_directory, sealed, write_sealed
 
 from galen_diagnosis import blind_check
@@ -35,22 +34,13 @@ def fake_generate(case, directory, twin):
     drawn = {"none": (), "pair": EFFECTS[:2]}.get(case.kind, ("hail",))
     effects = case.effects or drawn
     reads = {"none": "none", TEST: "unknown"}.get(case.kind, effects[0] if effects else "none")
-    if case.strength == "faint":
+    if effects == ("bias_step",):
         reads = "breaks"
     directory.mkdir(parents=True)
     (directory / "tool.json").write_text(json.dumps({"reads": reads, "seed": case.seed}))
-    return Truth(
-        effects=[{"effect": name, "parameters": {"secret": 0.125}} for name in effects],
-        kind=case.kind,
-        strength=case.strength,
-        seed=case.seed,
-        d=[30.0] * len(effects),
-        d_all=30.0,
-        left=[30.0] * len(effects),
-        acceptable=[[name] for name in effects],
-        expected_verdict="identified",
-        capped=False,
-    )
+    hidden = tuple({"effect": name, "parameters": {"secret": 0.125}} for name in effects)
+    same = tuple((name,) for name in effects)
+    return Truth(case.strength, hidden, (30.0,) * len(effects), same)
 
 
 def arguments(*options):
@@ -73,14 +63,13 @@ def test_the_whole_way_and_what_the_diagnosing_process_can_see(tmp_path, own_hom
     scores = content["scores"]
     assert list(scores) == ["galen_diagnosis", "naive"]
     own = scores["galen_diagnosis"]
-    # Of six sorts the faint one breaks, and is counted as wrong; the rest is told right.
+    # Of six sorts one breaks, and is counted as wrong; the rest is right.
     assert (own["cases"], own["failed"]) == (6, 1)
-    assert own["top1"]["faint"]["hits"] == 0 and own["top1"]["gross"]["hits"] == 1
-    assert own["false_alarms"]["hits"] == 0
-    assert own["unknown"]["found_by_verdict"]["hits"] == 1
-    assert scores["naive"]["top1"]["gross"] == {
-        **scores["naive"]["top1"]["gross"], "hits": 0, "of": 1
-    }  # fmt: skip
+    counts = {name: (one["hits"], one["of"]) for name, one in own["rates"].items()}
+    assert counts["top1_clear"] == (1, 2) and counts["top1_gross"] == (1, 1)
+    assert counts["false_alarms"] == (0, 1) and counts["unknown_by_verdict"] == (1, 1)
+    assert scores["naive"]["rates"]["top1_gross"]["hits"] == 0
+    assert "| healthy: false alarms | ≤ 3 % | 0 %" in (output / "blind_check.md").read_text()
     assert not list((own_home / ".local/state/galen_blind_check").iterdir())
 
     labels = json.loads((output / "labels.json").read_text())["labels"]
@@ -90,8 +79,8 @@ def test_the_whole_way_and_what_the_diagnosing_process_can_see(tmp_path, own_hom
     assert len(besides) == 5
     for beside in besides:
         seen = json.loads(beside.read_text())["attempts"]
-        told = json.dumps([seen["argv"], seen["env"], seen["cwd"]])
-        assert private not in told and "secret" not in told
+        given = json.dumps([seen["argv"], seen["env"], seen["cwd"]])
+        assert private not in given and "secret" not in given
         assert seen["cwd"] == str(output / "recordings")
         for label in labels:
             assert label["kind"] not in " ".join(seen["argv"])

@@ -1,9 +1,4 @@
-"""Labels and answers of a blind check.
-
-What a blind recording really has: the label that stays sealed until all answers are there.
-
-Read the answer of a diagnosis to a blind recording, as it is scored.
-"""
+"""Labels, which stay sealed until all answers are there, and answers, as they are scored."""
 
 from __future__ import annotations
 
@@ -73,7 +68,7 @@ class Label:
 
 
 def label_from_json(content: Any) -> Label:
-    """A label; raises FieldError."""
+    """Read a label; raises FieldError."""
     found = dict(mapping(content, "label"))
     kind = text(get(found, "kind"), "kind")
     text(get(found, "recording"), "recording")
@@ -95,7 +90,7 @@ def label_from_json(content: Any) -> Label:
 
 
 def _renamed(name: str) -> str:
-    """An acceptable answer, of labels from before effects had joints as well."""
+    """Name an acceptable answer by today's identity; older labels' effects had no joints."""
     return name if ":" in name else identity_of(*contract_form(name, {}))
 
 
@@ -108,7 +103,7 @@ class ParsedAnswer:
 
     causes: effect to its parameters as `diagnosis.json` has them; equivalent: effects that are
     indistinguishable from one of the causes. ranking: probabilities by name. closed: the closed
-    fraction, None where it wasn't told. seconds: wall time of the diagnosis.
+    fraction, None without one. seconds: wall time of the diagnosis.
     """
 
     recording: str
@@ -163,7 +158,7 @@ def _identity(entry: Mapping[str, Any]) -> str:
 
 
 def _parameters(cause: Mapping[str, Any]) -> dict[str, Any]:
-    """The parameters as `truth.json` has them: the joint is one of them."""
+    """Return the parameters as `truth.json` has them: the joint is one of them."""
     joint = {"joint": cause["joint"]} if "joint" in cause else {}
     return {**joint, **mapping(get(cause, "parameters"), "parameters")}
 

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
+from galen_model.evidence.linear import Background
 from galen_sim_driver.effects.sensor import SensorSaturation
 
 from galen_diagnosis.answer.answer import NONE
@@ -27,69 +28,47 @@ from galen_diagnosis.effects.candidates import (
     candidates,
     crosstalk_candidate,
     crosstalks,
+    unknown_columns,
 )
-from galen_diagnosis.observation.observation import UNKNOWNS, Observation, Unknowns
+from galen_diagnosis.observation.observation import UNKNOWNS, Observation
 from galen_diagnosis.observation.rows import BAGS
 
 RMSE_DROP, NAIVE_BIC = "largest RMSE drop", "naive BIC"
 _LEAST_DROP = 0.01
-_SAME = 1e-10
-"""Eigenvalues below this part of the largest are columns that others make up."""
 _STEP_S = 10.0
 _CLIPS = (0.5, 0.7, 0.9)
 """Limits tried, as shares of an axis' largest reading."""
-_UNIT = np.array([1e-3] * 6 + [1e-4] * 12)
 
 
 def answers(observation: Observation) -> dict[str, Any]:
-    """Every baseline's answer, by its name."""
+    """Return every baseline's answer, by its name."""
+    rows = observation.nominal
     unknowns = unknown_columns(observation)
-    rest = Rest(observation.nominal, unknowns)
+    behind = Background(unknowns, np.full(unknowns.shape[1], np.inf))
+    before = behind.sum_of_squares(rows)
     left: dict[str, tuple[float, int]] = {}
     for name, columns in templates(observation, unknowns):
-        left[name] = min(rest.left_by(columns), left.get(name, (np.inf, 0)))
-    return simple_answers(len(observation.nominal), rest.sum_of_squares, left)
+        found = before - explained(behind, columns, rows), columns.shape[1]
+        left[name] = min(found, left.get(name, found))
+    return simple_answers(len(rows), before, left)
 
 
-class Rest:
-    """What the columns of unknowns (n, u) leave of a residual (n,)."""
+def explained(behind: Background, columns: Array, rows: Array) -> float:
+    """Return by how much a fit of columns (N, k) beside the background lowers the sum of squares.
 
-    def __init__(self, residual: Array, unknowns: Array) -> None:
-        self._basis = _basis(unknowns)
-        self.residual = self._without(residual)
-        self.sum_of_squares = float(self.residual @ self.residual)
-
-    def left_by(self, columns: Array) -> tuple[float, int]:
-        """The sum of squares that columns (n, k) leave beside the unknowns, and k."""
-        norms = np.linalg.norm(columns, axis=0)
-        own = self._without(columns[:, norms > 0.0] / norms[norms > 0.0])
-        # What the unknowns take whole leaves rounding errors, which would explain something.
-        own = own[:, np.linalg.norm(own, axis=0) > 1e-9]
-        if not own.shape[1]:
-            return self.sum_of_squares, columns.shape[1]
-        # By the Gram matrix: a drift has hundreds of columns, of which a decomposition takes longer
-        # than a whole diagnosis.
-        size, vectors = np.linalg.eigh(own.T @ own)
-        good = size > _SAME * size[-1]
-        part = vectors[:, good].T @ (own.T @ self.residual) / np.sqrt(size[good])
-        return float(self.sum_of_squares - part @ part), columns.shape[1]
-
-    def _without(self, columns: Array) -> Array:
-        return np.asarray(columns - self._basis @ (self._basis.T @ columns))
-
-
-def _basis(columns: Array) -> Array:
-    """Orthonormal columns of the same span; those that say nothing are left out."""
+    Columns that others make up, or the background takes whole, add nothing.
+    """
     norms = np.linalg.norm(columns, axis=0)
-    if not norms.any():
-        return np.zeros((len(columns), 0))
-    scaled = columns[:, norms > 0.0] / norms[norms > 0.0]
-    left, size, _ = np.linalg.svd(scaled, full_matrices=False)
-    return np.asarray(left[:, size > 1e-6 * size[0]])
+    if not np.any(norms):
+        return 0.0
+    gram, projection = behind.reduced(columns[:, norms > 0.0] / norms[norms > 0.0], rows)
+    size, vectors = np.linalg.eigh(gram)
+    good = size > 1e-9
+    return float(np.sum((vectors[:, good].T @ projection) ** 2 / size[good]))
 
 
 def simple_answers(n: int, before: float, left: Mapping[str, tuple[float, int]]) -> dict[str, Any]:
-    """Answers of both methods, in the form of `diagnosis.json`.
+    """Return answers of both methods, in the form of `diagnosis.json`.
 
     n: rows. before: sum of squares with the unknowns alone. left: sum of squares and number of
     parameters of each effect's best template.
@@ -104,7 +83,7 @@ def simple_answers(n: int, before: float, left: Mapping[str, tuple[float, int]])
 
 
 def _answer(weights: Mapping[str, float]) -> dict[str, Any]:
-    """`identified` or `none`; probabilities are the weights' shares."""
+    """Answer `identified` or `none`; probabilities are the weights' shares."""
     total = float(sum(weights.values()))
     shares = {name: float(weight) / total for name, weight in weights.items()}
     first = max(shares, key=lambda name: shares[name])
@@ -119,19 +98,8 @@ def _answer(weights: Mapping[str, float]) -> dict[str, Any]:
     }
 
 
-def unknown_columns(observation: Observation) -> Array:
-    """What the recording's unknowns change of the rows (N, UNKNOWNS)."""
-    return np.stack(
-        [
-            observation.change([], Unknowns(unit)) / step
-            for unit, step in zip(np.diag(_UNIT), _UNIT, strict=True)
-        ],
-        axis=1,
-    )
-
-
 def templates(observation: Observation, unknowns: Array) -> Iterator[tuple[str, Array]]:
-    """Effects' names with columns (N, k) each, an effect as often as it has forms.
+    """Yield effects' names with columns (N, k), an effect as often as it has forms.
 
     unknowns (N, UNKNOWNS): `unknown_columns`.
     """

@@ -1,17 +1,17 @@
-"""The check's course: make, seal, tell the hash, diagnose in another process, open.
+"""The check's course: make, seal, publish the hash, diagnose in another process, open.
 
 An output directory holds
 
     plan.json         what was asked for, and the seed once all is open
-    commitment.json   the SHA-256 of the labels and of the recordings' names, told first
+    commitment.json   the SHA-256 of the labels and the recordings' names, published first
     recordings/       what the diagnosis gets
-    answers/          what it said: diagnosis.json and beside.json for each
+    answers/          what it left: diagnosis.json and beside.json for each
     labels.json       the labels, when they are open
 
 The labels lie in `seal.private_directory` till all answers are there. The diagnosing process is a
 child with an environment and a working directory of its own; it gets two paths and can't read that
-directory (`confine`). What this doesn't hold off: a program that finds the seed on this process's
-command line and runs the plant itself, one that runs as root where there is no Landlock, and the
+directory (`confine`). What this doesn't keep out: a program that finds the seed on this process's
+command line and simulates the arm itself, one that runs as root where there is no Landlock, and the
 workers of a Dask scheduler, which aren't started here.
 """
 
@@ -25,21 +25,20 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from galen_model.errors import GalenError
 from galen_model.files.atomic_file import write_whole
 from galen_model.files.json_fields import FieldError, get, mapping, read_json
-from galen_ros.command import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_OK
+from galen_ros.command import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_OK, writing
 
 from galen_diagnosis.blind import confine
 from galen_diagnosis.blind.answers import Label, ParsedAnswer, parse_answer
+from galen_diagnosis.blind.case import generate
 from galen_diagnosis.blind.diagnosing import ANSWER, BESIDE
 from galen_diagnosis.blind.making import Generate, Planned, make_all
-from galen_diagnosis.blind.plant.case import generate
-from galen_diagnosis.blind.scoring.score import Answered
+from galen_diagnosis.blind.score import Answered
 from galen_diagnosis.blind.seal import (
     SealError,
     directory_sha256,
@@ -58,36 +57,16 @@ _KEPT_VARIABLES = (
 DIAGNOSING = (sys.executable, "-m", "galen_diagnosis.blind.diagnosing")
 
 
-@dataclass(frozen=True)
 class Places:
-    """Where an output has what."""
+    """Where an output has what; the module's docstring says what each holds."""
 
-    output: Path
-
-    @property
-    def plan(self) -> Path:
-        """What was asked for."""
-        return self.output / "plan.json"
-
-    @property
-    def commitment(self) -> Path:
-        """What was told first."""
-        return self.output / "commitment.json"
-
-    @property
-    def recordings(self) -> Path:
-        """What the diagnosis gets."""
-        return self.output / "recordings"
-
-    @property
-    def answers(self) -> Path:
-        """What it leaves."""
-        return self.output / "answers"
-
-    @property
-    def labels(self) -> Path:
-        """The labels, when they are open."""
-        return self.output / "labels.json"
+    def __init__(self, output: Path) -> None:
+        self.output = output
+        self.plan = output / "plan.json"
+        self.commitment = output / "commitment.json"
+        self.recordings = output / "recordings"
+        self.answers = output / "answers"
+        self.labels = output / "labels.json"
 
 
 def sealed_set(
@@ -98,10 +77,10 @@ def sealed_set(
     workers: int | None,
     generate: Generate = generate,
 ) -> str:
-    """Make the recordings and seal their labels; returns the SHA-256 that is told.
+    """Make the recordings and seal their labels; returns their SHA-256.
 
-    An output that was begun with the same wish goes on where it stopped. wanted: what decides the
-    plan but for the seed. seed: None for one that nobody knows. Raises GalenError.
+    An output that was begun with the same options goes on where it stopped. wanted: what
+    decides the plan but for the seed. seed: None for a random one. Raises GalenError.
     """
     started = _begun(places, wanted)
     if started and places.labels.exists():
@@ -117,14 +96,16 @@ def sealed_set(
     if seed is not None and seed != used:
         raise GalenError(f"{places.output}: was begun with another seed; give a new --output")
     labels = make_all(plan(used), places.recordings, private, workers, generate)
-    text, told = sealed(labels)
+    text, published = sealed(labels)
     write_sealed(private / "labels.json", text)
-    _write(places.commitment, {"labels_sha256": told, "recordings": [x.recording for x in labels]})
-    return told
+    _write(
+        places.commitment, {"labels_sha256": published, "recordings": [x.recording for x in labels]}
+    )
+    return published
 
 
 def _begun(places: Places, wanted: dict[str, Any]) -> bool:
-    """Whether the output was begun with the same wish; raises GalenError if with another."""
+    """Whether the output was begun with the same options; raises GalenError if with another."""
     if not places.plan.exists():
         if places.output.exists() and any(places.output.iterdir()):
             raise GalenError(f"{places.output}: isn't empty, and no blind check was begun in it")
@@ -182,7 +163,7 @@ def diagnose_blind(
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
-    """A terminal's Ctrl-C reaches it as well; it ends its own workers."""
+    """Wait for its end, which a terminal's Ctrl-C brings as well; then insist."""
     for wait_s in (2.0, 15.0):
         try:
             process.wait(wait_s)
@@ -193,12 +174,12 @@ def _end(process: subprocess.Popen[bytes]) -> None:
     process.wait()
 
 
-def open_labels(places: Places, told: str) -> tuple[Label, ...]:
-    """Open the labels, check them against the hash that was told, and put them into the output."""
+def open_labels(places: Places, published: str) -> tuple[Label, ...]:
+    """Open the labels, check them against the published hash, and put them into the output."""
     if places.labels.exists():
-        return opened(places.labels, told)
+        return opened(places.labels, published)
     private = private_directory(places.output)
-    labels = opened(private / "labels.json", told)
+    labels = opened(private / "labels.json", published)
     for label in labels:
         if directory_sha256(places.recordings / label.recording) != label.sha256:
             raise SealError(f"{places.recordings / label.recording}: isn't what was sealed")
@@ -213,7 +194,7 @@ def open_labels(places: Places, told: str) -> tuple[Label, ...]:
 
 
 def answered(places: Places, labels: Sequence[Label]) -> list[Answered]:
-    """Labels with their answers; None where a diagnosis left none. Raises GalenError."""
+    """Return labels with their answers; None where a diagnosis left none. Raises GalenError."""
     found = []
     for label in labels:
         folder = places.answers / label.recording
@@ -222,7 +203,7 @@ def answered(places: Places, labels: Sequence[Label]) -> list[Answered]:
 
 
 def baselines(places: Places, labels: Sequence[Label]) -> dict[str, list[Answered]]:
-    """The same for each baseline, by its name."""
+    """Return the same for each baseline, by its name."""
     found: dict[str, list[Answered]] = {}
     beside = {label.recording: _beside(places.answers / label.recording) for label in labels}
     names = dict.fromkeys(name for one in beside.values() for name in one.get("baselines", {}))
@@ -261,7 +242,5 @@ def _read(path: Path) -> Any:
 
 
 def _write(path: Path, content: Any) -> None:
-    try:
+    with writing(path):
         write_whole(path, json.dumps(content, indent=1))
-    except OSError as error:
-        raise GalenError(f"{path}: can't be written: {error.strerror}") from error

@@ -2,7 +2,7 @@
 
     python -m galen_diagnosis.blind.diagnosing RECORDINGS ANSWERS [--workers N]
 
-It is told nothing else, and `confine` starts it so that it can't read the labels.
+It gets nothing else, and `confine` starts it so that it can't read the labels.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ ANSWER, BESIDE, FAILED = "diagnosis.json", "beside.json", "failed.txt"
 
 
 def diagnosed(recording: Path) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
-    """The program's answer and the baselines' on the same rows, as JSON."""
+    """Return the program's answer and the baselines' on the same rows, as JSON."""
     from galen_diagnosis.blind.baselines import answers
     from galen_diagnosis.inference.diagnosing import diagnose_recording
     from galen_diagnosis.observation.observation import Observation

@@ -1,10 +1,7 @@
-"""Make the recordings of a blind check.
+"""Which recordings a blind check makes, under names that show nothing, and their making.
 
-Which recordings a blind check makes: of every class so many, under names that tell nothing.
-
-Makes the recordings of a plan: bags for the diagnosis, labels for the private directory.
-
-The share of a gap that its true cause closes: the same arm measured again without the cause.
+Bags go to the diagnosis, labels to the private directory. A label holds the share of the gap that
+the true cause closes: the same arm measured again, with the same noise, without the cause.
 """
 
 from __future__ import annotations
@@ -17,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from galen_bags.many.run import run_many
+from galen_bags.many import run_many
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.files.atomic_file import write_whole
@@ -26,13 +23,18 @@ from galen_model.files.json_fields import FieldError
 from galen_diagnosis.answer.answer import NONE
 from galen_diagnosis.answer.gap import without_unknowns
 from galen_diagnosis.blind.answers import Label, LabelKind, label_from_json
-from galen_diagnosis.blind.plant.case import STRENGTHS, Case, Truth, generate
-from galen_diagnosis.blind.plant.listed import AMBIGUOUS, EFFECTS, PAIRS
-from galen_diagnosis.blind.plant.unlisted import CALIBRATION_UNKNOWN, TEST_UNKNOWN
+from galen_diagnosis.blind.case import STRENGTHS, Case, Truth, generate
+from galen_diagnosis.blind.causes import (
+    CALIBRATION_UNKNOWN,
+    EFFECTS,
+    PAIRS,
+    TEST_UNKNOWN,
+    TWINS,
+)
 from galen_diagnosis.blind.seal import directory_sha256
 from galen_diagnosis.inference.refine import nothing
 from galen_diagnosis.inference.search import healthy_background
-from galen_diagnosis.inference.structure import leftover
+from galen_diagnosis.inference.structure import remaining_energy
 from galen_diagnosis.observation.observation import UNKNOWNS, Observation
 from galen_diagnosis.observation.recording import read_recording
 from galen_diagnosis.observation.rows import FOLDS
@@ -45,11 +47,14 @@ _SHORT = (
     (NONE, (), "clear"),
     ("single", ("joint_zero_offset:tilt",), "gross"),
     ("single", ("bias_step",), "clear"),
-    ("single", ("tool_mass_error",), "faint"),
-    ("pair", (), "clear"),
-    (TEST, (), "gross"),
+    ("single", ("tool_mass_error",), "clear"),
+    ("pair", ("axis_gain", "tracker_scale"), "clear"),
+    (TEST, ("rattling_mass",), "gross"),
 )
 """One of each sort, for a check of the program and not of its rates."""
+
+Sort = tuple[str, tuple[str, ...], str]
+"""Kind, effects and strength of a case."""
 
 
 @dataclass(frozen=True)
@@ -60,24 +65,15 @@ class Planned:
     case: Case
 
 
-def full_plan(seed: int, per_class: int, *, unknown: str = TEST) -> list[Planned]:
-    """Every effect at every strength `per_class` times, and the other sorts in proportion.
-
-    For each of these 20 healthy recordings, of every kind of unknown cause two a strength that
-    isn't faint, 15 pairs, and every ambiguous case. `unknown`: TEST for a check, CALIBRATION for
-    training and calibration, which so never see what the check asks. The order and the names are
-    random.
-    """
+def full_plan(seed: int, per_class: int, unknown: str = TEST) -> list[Planned]:
+    """Plan `per_class` recordings of each effect at each strength, and others in proportion."""
     kinds = TEST_UNKNOWN if unknown == TEST else CALIBRATION_UNKNOWN
+    sorts: list[Sort] = [(NONE, (), "clear")] * (_NONE_PER_CLASS * per_class)
     sure = [strength for strength in STRENGTHS if strength != "faint"]
-    sorts: list[tuple[str, tuple[str, ...], str]] = []
     for _ in range(per_class):
-        sorts += [("single", (name,), strength) for name in EFFECTS for strength in STRENGTHS]
-        sorts += [(NONE, (), "clear")] * _NONE_PER_CLASS
-        sorts += [
-            (unknown, (name,), strength) for name in kinds for strength in sure
-        ] * _UNKNOWN_PER_CLASS
-        sorts += [("ambiguous", (name,), "clear") for name in AMBIGUOUS]
+        sorts += [("single", (effect,), s) for effect in EFFECTS for s in STRENGTHS]
+        sorts += [(unknown, (name,), s) for name in kinds for s in sure] * _UNKNOWN_PER_CLASS
+        sorts += [("ambiguous", (name,), "clear") for name in TWINS]
     random = np.random.default_rng([seed, 1])
     pairs = random.choice(len(PAIRS), min(_PAIRS_PER_CLASS * per_class, len(PAIRS)), replace=False)
     sorts += [("pair", PAIRS[int(number)], "clear") for number in pairs]
@@ -85,38 +81,29 @@ def full_plan(seed: int, per_class: int, *, unknown: str = TEST) -> list[Planned
 
 
 def short_plan(seed: int) -> list[Planned]:
-    """One recording of each sort."""
+    """Plan one recording of each sort."""
     return _named(_SHORT, seed)
 
 
 def thinned(plan: Sequence[Planned], cases: int) -> list[Planned]:
-    """So many of a plan, of every sort and strength in turn; all where it has no more."""
+    """Take so many of a plan, of every sort and strength in turn; all where it has no more."""
     sorts: dict[tuple[str, str], list[Planned]] = {}
     for planned in plan:
         sorts.setdefault((planned.case.kind, planned.case.strength), []).append(planned)
-    kept: list[Planned] = []
-    while sorts and len(kept) < cases:
-        for key in sorted(sorts):
-            kept.append(sorts[key].pop())
-            if not sorts[key]:
-                del sorts[key]
-            if len(kept) == cases:
-                break
+    turns = [(turn, key) for key, own in sorts.items() for turn in range(len(own))]
+    kept = [sorts[key].pop() for _, key in sorted(turns)[:cases]]
     return sorted(kept, key=lambda planned: planned.recording)
 
 
-def _named(sorts: Sequence[tuple[str, tuple[str, ...], str]], seed: int) -> list[Planned]:
+def _named(sorts: Sequence[Sort], seed: int) -> list[Planned]:
     random = np.random.default_rng(np.random.SeedSequence(seed))
     names = random.choice(16**6, size=len(sorts), replace=False)
     seeds = random.integers(0, 2**31 - 1, size=len(sorts))
     planned = [
-        Planned(
-            f"recording_{int(name):06x}",
-            Case(seed=int(own), kind=kind, effects=effects, strength=strength),
-        )
-        for name, own, (kind, effects, strength) in zip(names, seeds, sorts, strict=True)
+        Planned(f"recording_{int(name):06x}", Case(int(own), *sort))
+        for name, own, sort in zip(names, seeds, sorts, strict=True)
     ]
-    # By name, which is at random: neither the order of work nor that of the files tells a sort.
+    # By name, which is at random: neither the order of work nor that of the files shows a sort.
     return sorted(planned, key=lambda one: one.recording)
 
 
@@ -125,7 +112,7 @@ _KINDS: dict[str, LabelKind] = {
     TEST: "unknown", CALIBRATION: "unknown",
 }  # fmt: skip
 _SAME_TIME_S = 946_684_800
-"""2000-01-01: what every file says that it was written at."""
+"""2000-01-01: the time that every file bears."""
 
 Generate = Callable[[Case, Path, Path | None], Truth]
 
@@ -142,7 +129,7 @@ class Maker:
     generate: Generate = generate
 
     def __call__(self, recording: Path) -> None:
-        """Make it, if it isn't there whole; a label is written last, and says that it is."""
+        """Make it, if it isn't there whole; its label is written last."""
         case = self.cases[recording.name]
         label = self._label_path(recording.name)
         if label.exists() and recording.exists():
@@ -150,20 +137,26 @@ class Maker:
         work, twin = (self.private / f"{recording.name}{end}" for end in (".work", ".twin"))
         for old in (work, twin, recording):
             shutil.rmtree(old, ignore_errors=True)
-        truth = self.generate(case, work, twin if _asks_oracle(case) else None)
-        made = label_of(
-            recording.name,
-            case,
-            truth,
-            oracle_closed(work, twin) if twin.exists() else None,
-            directory_sha256(work),
+        asks_oracle = case.kind in ("single", "pair", "ambiguous") and case.strength != "faint"
+        truth = self.generate(case, work, twin if asks_oracle else None)
+        made = Label(
+            recording=recording.name,
+            kind=_KINDS[case.kind],
+            effects=truth.effects,
+            strength=truth.strength,
+            d=min(truth.d, default=None),
+            acceptable=truth.acceptable,
+            oracle_closed=oracle_closed(work, twin) if twin.exists() else None,
+            plant_seed=case.seed,
+            bags=tuple(case.bags),
+            sha256=directory_sha256(work),
         )
         shutil.rmtree(twin, ignore_errors=True)
         shutil.move(work, recording)
         write_whole(label, json.dumps(made.to_json()))
 
     def label(self, name: str) -> Label:
-        """Of a recording that was made."""
+        """Read the label of a recording that was made; raises GalenError."""
         path = self._label_path(name)
         try:
             return label_from_json(json.loads(path.read_text(encoding="utf-8")))
@@ -172,27 +165,6 @@ class Maker:
 
     def _label_path(self, name: str) -> Path:
         return self.private / f"{name}.json"
-
-
-def _asks_oracle(case: Case) -> bool:
-    """Whether there is a listed cause that should close the gap."""
-    return case.kind in ("single", "pair", "ambiguous") and case.strength != "faint"
-
-
-def label_of(name: str, case: Case, truth: Truth, oracle: float | None, sha256: str) -> Label:
-    """What is sealed of a recording."""
-    return Label(
-        recording=name,
-        kind=_KINDS[case.kind],
-        effects=tuple(truth.effects),
-        strength="" if case.kind == NONE else truth.strength,
-        d=min(truth.d) if truth.d else None,
-        acceptable=tuple(tuple(names) for names in truth.acceptable),
-        oracle_closed=oracle,
-        plant_seed=case.seed,
-        bags=tuple(case.bags),
-        sha256=sha256,
-    )
 
 
 def make_all(
@@ -219,39 +191,31 @@ def make_all(
 
 def same_times(folder: Path) -> None:
     """Give all files and directories in a folder one time of access and change."""
-    for path in sorted(folder.rglob("*"), reverse=True):
+    for path in (*sorted(folder.rglob("*"), reverse=True), folder):
         os.utime(path, (_SAME_TIME_S, _SAME_TIME_S))
-    os.utime(folder, (_SAME_TIME_S, _SAME_TIME_S))
 
 
 def oracle_closed(recording: Path, twin: Path) -> float | None:
-    """(E - E_twin) / (E - floor); None where E isn't above the floor.
+    """Return (E - E_twin) / (E - floor); None where E isn't above the floor.
 
-    twin: the recording with the same course, tolerances and noise, and without the cause. E is the
-    mean square of held-out rows as a diagnosis counts it (`gap.py`), beside the nominal simulator
-    with the tolerances that the twin shows: what is left when the true cause, as it really acts, is
-    taken away.
+    twin: the recording without the cause. E is the mean square of held-out rows as a diagnosis
+    counts it (`gap.py`), beside the nominal simulator with the tolerances that the twin shows.
     """
-    healthy = _Told(twin)
-    none = nothing(healthy.observation, healthy.behind)
+    healthy, sick = (Observation(read_recording(path)) for path in (twin, recording))
+    behind = healthy_background(healthy)
+    none = nothing(healthy, behind)
     tolerances = none.background[UNKNOWNS:]
-    floor = leftover(healthy.observation.rows, none.rows).floor
-    before, after = (one.energy(tolerances) for one in (_Told(recording), healthy))
+    floor = remaining_energy(healthy.rows, none.rows)[1]
+    after, before = (_energy(one, tolerances) for one in (healthy, sick))
     return None if before <= floor else float((before - after) / (before - floor))
 
 
-class _Told:
-    """A recording beside the nominal simulator."""
-
-    def __init__(self, path: Path) -> None:
-        self.observation = Observation(read_recording(path))
-        self.behind = healthy_background(self.observation)
-
-    def energy(self, tolerances: Array) -> float:
-        """Mean square of held-out rows with these tolerances in the simulator."""
-        rows = self.observation.nominal - self.behind.columns[:, UNKNOWNS:] @ tolerances
-        left = np.empty(len(rows))
-        for fold in range(FOLDS):
-            out = self.observation.rows.fold == fold
-            left[out] = without_unknowns(self.behind, rows, out)
-        return float(np.mean(left**2))
+def _energy(observation: Observation, tolerances: Array) -> float:
+    """Mean square of held-out rows with these tolerances in the simulator."""
+    behind = healthy_background(observation)
+    rows = observation.nominal - behind.columns[:, UNKNOWNS:] @ tolerances
+    left = np.empty(len(rows))
+    for fold in range(FOLDS):
+        out = observation.rows.fold == fold
+        left[out] = without_unknowns(behind, rows, out)
+    return float(np.mean(left**2))

@@ -1,7 +1,7 @@
-"""The sealed labels: kept in a directory that only this user may enter, their hash told beforehand.
+"""The sealed labels: kept in a directory that only this user may enter, their hash published first.
 
-The text of all labels begins with 32 random bytes, so that nobody finds the labels by trying out
-hashes. What is told first is the SHA-256 of the text; opening shows that no label changed since.
+The text of all labels begins with 32 random bytes, so that trying out hashes finds no
+labels. The SHA-256 of the text is published first; opening shows that no label changed since.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def forget(folder: Path) -> None:
 
 
 def sealed(labels: Sequence[Label]) -> tuple[str, str]:
-    """The text to keep, and its SHA-256 in hexadecimal, to be told."""
+    """Return the text to keep, and its SHA-256 in hexadecimal, to be published."""
     text = json.dumps(
         {
             "schema_version": 1,
@@ -98,14 +98,14 @@ def write_sealed(path: Path, text: str) -> None:
         raise SealError(f"{path}: can't be written: {error.strerror}") from error
 
 
-def opened(path: Path, told_sha256: str) -> tuple[Label, ...]:
-    """The labels of a sealed file, if they are those whose hash was told; raises SealError."""
+def opened(path: Path, published_sha256: str) -> tuple[Label, ...]:
+    """Read a sealed file's labels, if they are those of the hash; raises SealError."""
     try:
         text = path.read_text(encoding="utf-8")
     except OSError as error:
         raise SealError(f"{path}: the labels can't be read: {error.strerror}") from error
-    if not hmac.compare_digest(sha256(text), told_sha256):
-        raise SealError(f"{path}: isn't what was sealed: its SHA-256 is not {told_sha256}")
+    if not hmac.compare_digest(sha256(text), published_sha256):
+        raise SealError(f"{path}: isn't what was sealed: its SHA-256 is not {published_sha256}")
     try:
         return tuple(
             label_from_json(label) for label in get(mapping(parse_json(text), "labels"), "labels")
