@@ -10,7 +10,7 @@ from galen_model.load.drifting_identification import BiasMode
 from galen_model.load.identification import StillPoses
 from galen_ros.goal.procedure import End, MoveTo, Stop
 
-from galen_calibration_behavior.quick_check.causes import QuickCheck
+from galen_calibration_behavior.quick_check.decision import QuickCheck
 
 
 class CalibrationState(IntEnum):

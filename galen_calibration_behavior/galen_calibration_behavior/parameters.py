@@ -22,8 +22,7 @@ from galen_model.poses.plan import (
 from galen_ros.goal.parameters import PoseParameters
 from galen_ros.parameters import ParameterError, param
 
-from galen_calibration_behavior.quick_check.causes import CheckLimits
-from galen_calibration_behavior.quick_check.decision import FEWEST_POSES
+from galen_calibration_behavior.quick_check.decision import FEWEST_POSES, CheckLimits
 
 MAX_ITERS = 100  # so that the feedback's counts of poses, uint16, hold two sweeps
 MAX_CHOSEN = 60  # more take long to choose and to order, and are no better than a grid

@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from galen_calibration_behavior.quick_check.causes import CheckLimits
-from galen_calibration_behavior.quick_check.decision import differences, quick_check
+from galen_calibration_behavior.quick_check.decision import CheckLimits, differences, quick_check
 from galen_calibration_behavior.quick_check.procedure import plan_check
 from galen_model.arm.galen import GALEN
 from galen_model.evidence.verdict import Cause, CheckAnswer

@@ -8,7 +8,7 @@ and for one sweep
     HOME -> REMOVE_TOOL -> ZERO -> ATTACH_TOOL -> SWEEP_TOOL -> HOME -> ESTIMATE
 
 The sensor is zeroed at home with the adapter on and no tool in both. A cancel, an error and time
-are as in `goal_procedure`; waiting for a person goes by the wall clock, too.
+are as in `galen_ros.goal.procedure`; waiting for a person goes by the wall clock, too.
 """
 
 from __future__ import annotations

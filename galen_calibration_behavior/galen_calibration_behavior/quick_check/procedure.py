@@ -37,8 +37,7 @@ from galen_calibration_behavior.commands import (
     PosesEnd,
 )
 from galen_calibration_behavior.parameters import CalibrationParameters
-from galen_calibration_behavior.quick_check.causes import QuickCheck
-from galen_calibration_behavior.quick_check.decision import FEWEST_POSES, quick_check
+from galen_calibration_behavior.quick_check.decision import FEWEST_POSES, QuickCheck, quick_check
 
 _GRID_STEPS = 5
 

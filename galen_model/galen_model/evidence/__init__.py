@@ -22,5 +22,5 @@ The observations, and by what each decides:
   simulator.
 
 How a cause shows is in `columns`; causes, messages and the limits of what matters in `verdict`;
-what is fitted beside every hypothesis in `background`.
+what is fitted beside every hypothesis in `linear`.
 """
