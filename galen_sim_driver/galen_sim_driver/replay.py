@@ -33,6 +33,7 @@ from galen_sim_driver.effects.effect import (
     Instants,
     Loading,
     Posture,
+    added,
     in_order,
 )
 
@@ -123,10 +124,8 @@ class Replay:
         needs_motion = any(effect.needs_motion for effect in self.effects)
         posture = self._posture(when, self._joints_at(at_s), needs_motion)
         total = self._weight(posture, with_tool=True)
-        for effect in self.effects:
-            more = effect.fresh().wrench(when, posture)
-            if more is not None:
-                total = total + more
+        more = added(effect.fresh().wrench(when, posture) for effect in self.effects)
+        total = total if more is None else total + more
         zero = scene.arm.with_angles(np.array([scene.zero_pose_rad]), scene.joints[:1])
         at_zero = self._posture(scene.instants(np.zeros(1)), zero, False)
         return when, total - self._weight(at_zero, with_tool=False)
@@ -168,11 +167,8 @@ class Replay:
         at_tip = move_wrench(pushed, rotation, posture.origin - position)
         elastic = self._elastic(posture.joints, at_tip)
         loading = Loading(posture.joints, at_tip, elastic, tip_m, self.arm)
-        bent = elastic
-        for effect in self.effects:
-            more = effect.fresh().deflect(when, loading)
-            if more is not None:
-                bent = bent + more
+        more = added(effect.fresh().deflect(when, loading) for effect in self.effects)
+        bent = elastic if more is None else elastic + more
         return rotvec_to_matrix(bent[:, 3:]) @ rotation, position + bent[:, :3]
 
     def _elastic(self, joints: Array, wrench: Array) -> Array:
@@ -210,12 +206,8 @@ class Replay:
     def base_marker(self) -> Array:
         """Return the base marker's displacement (nt, 6) in base_link at the tracker's stamps."""
         when = self.scene.instants(self.scene.tracker_s - self._tracker_delay_s)
-        moved = np.zeros((len(when), 6))
-        for effect in self.effects:
-            more = effect.base_marker(when)
-            if more is not None:
-                moved = moved + more
-        return moved
+        moved = added(effect.base_marker(when) for effect in self.effects)
+        return np.zeros((len(when), 6)) if moved is None else moved
 
     # --- inside -------------------------------------------------------------------------------
 

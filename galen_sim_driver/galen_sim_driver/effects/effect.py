@@ -236,6 +236,12 @@ def in_order(effects: Iterable[Effect]) -> tuple[Effect, ...]:
     return tuple(sorted(effects, key=lambda effect: effect.order))
 
 
+def added(parts: Iterable[Array | None]) -> Array | None:
+    """Return the sum of the parts that there are; None for none."""
+    given = [part for part in parts if part is not None]
+    return sum(given[1:], given[0]) if given else None
+
+
 def check_choice(effect: str, name: str, value: str, choices: Iterable[str]) -> None:
     """Raise ConfigError unless `value` is one of the choices."""
     if value not in choices:

@@ -22,6 +22,7 @@ from galen_sim_driver.effects.effect import (
     Instants,
     Loading,
     Posture,
+    added,
     in_order,
 )
 from galen_sim_driver.plant.geometry import (
@@ -133,12 +134,7 @@ class PlantEffects:
             adapter=self._adapter,
             tip_m=self._tip_m,
         )
-        total = np.zeros(6)
-        for effect in self._wrenches:
-            more = effect.wrench(self._when, posture)
-            if more is not None:
-                total = total + more[0]
-        return [float(value) for value in total]
+        return _first(added(effect.wrench(self._when, posture) for effect in self._wrenches))
 
     def before_noise(self, wrench: list[float]) -> list[float]:
         """Apply the sensing element's errors to a true wrench (6,) before zeroing."""
@@ -170,12 +166,7 @@ class PlantEffects:
         loading = Loading(
             np.array([arm.joints]), np.array([at_tip]), np.array([elastic]), self._tip_m, self.arm
         )
-        total = np.zeros(6)
-        for effect in self._benders:
-            more = effect.deflect(self._when, loading)
-            if more is not None:
-                total = total + more[0]
-        return [float(value) for value in total]
+        return _first(added(effect.deflect(self._when, loading) for effect in self._benders))
 
     def seen(self, pose: MarkerPose) -> MarkerPose:
         """Return a marker as the tracker measures it, but for noise."""
@@ -189,12 +180,7 @@ class PlantEffects:
 
     def base_shift(self) -> list[float] | None:
         """Return the base marker's displacement in base_link (6,); None without an effect on it."""
-        total = None
-        for effect in self._shifters:
-            more = effect.base_marker(self._when)
-            if more is not None:
-                total = more[0] if total is None else total + more[0]
-        return None if total is None else total.tolist()
+        return _first(added(effect.base_marker(self._when) for effect in self._shifters))
 
     # --- inside -----------------------------------------------------------------------------
 
@@ -240,3 +226,7 @@ class PlantEffects:
 
 def _ns(seconds: float) -> int:
     return round(seconds * 1e9)
+
+
+def _first(rows: Array | None) -> list[float] | None:
+    return None if rows is None else [float(value) for value in rows[0]]
