@@ -12,9 +12,8 @@ import json
 import shutil
 import sys
 import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -57,8 +56,6 @@ from galen_bags.formats.mcap_records import zstd  # noqa: E402
 from galen_bags.formats.raw_block import pack  # noqa: E402
 from galen_deflection.models.file import read_model, write_model  # noqa: E402
 from galen_diagnosis.blind.blind_protocol import Places, answered  # noqa: E402
-from galen_diagnosis.inference import posterior  # noqa: E402
-from galen_diagnosis.inference.posterior import load_settings  # noqa: E402
 from galen_gravcomp.evaluate.drift_series import read_series  # noqa: E402
 from galen_model.arm.galen import JOINT_NAMES  # noqa: E402
 from galen_model.errors import GalenError  # noqa: E402
@@ -311,23 +308,6 @@ def _motion_seeds() -> list[bytes]:
 # --- diagnosis ------------------------------------------------------------------------------------
 
 
-def use_settings(path: Path) -> None:
-    """The package's own calibration, by its own reader."""
-    with patched(path):
-        found = load_settings()
-    assert all(found.kappa_of(effect) > 0.0 for effect in ("none", "cable_drag", "base_shift"))
-
-
-@contextmanager
-def patched(path: Path) -> Iterator[None]:
-    """Let the package's calibration be this file."""
-    files, posterior.resources.files = posterior.resources.files, lambda _: path.parent
-    try:
-        yield
-    finally:
-        posterior.resources.files = files
-
-
 def use_answer(path: Path) -> None:
     """A diagnosis's answer in a blind check."""
     folder = path.parent / "answers" / "r"
@@ -352,11 +332,6 @@ def _answer_seeds() -> list[bytes]:
         "causes": [cause],
         "gap": {"closed_fraction": {"value": 0.8}},
     }
-    return [json.dumps(content).encode()]
-
-
-def _settings_seeds() -> list[bytes]:
-    content = {"settings": asdict(posterior.Settings())}
     return [json.dumps(content).encode()]
 
 
@@ -485,7 +460,6 @@ READERS = {
     "convert": Reader("table.csv", _table_seeds, use_convert),
     "motion": Reader("table.csv", _motion_seeds, use_motion),
     "answer": Reader("diagnosis.json", _answer_seeds, use_answer),
-    "settings": Reader("calibration.json", _settings_seeds, use_settings),
     "mcap": Reader("bag.mcap", _mcap_seeds, use_bag),
     "mcap_zstd": Reader("bag.mcap.zstd", lambda: [zstd.compress(_MCAP)], use_bag),
     "db3": Reader("bag.db3", _db3_seeds, use_bag),

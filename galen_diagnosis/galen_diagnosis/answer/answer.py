@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from galen_model.arrays import Array
@@ -41,7 +41,6 @@ class Cause:
     """One effect that was found; `joint` where it is at one.
 
     parameters: name to interval, to a list or a mapping of them, or to a word (`axis`, `bag`).
-    extra: numbers of the form that was fitted and the contract doesn't name, for the driver's file.
     equivalent: identities of effects that this recording can't distinguish from it.
     """
 
@@ -50,7 +49,6 @@ class Cause:
     parameters: dict[str, Any]
     equivalent: tuple[str, ...]
     gap_closed: Interval | None
-    extra: dict[str, Any] = field(default_factory=dict)
     joint: str | None = None
 
     @property
@@ -114,7 +112,6 @@ def _cause_to_json(cause: Cause) -> dict[str, Any]:
         **_at(cause.label),
         "probability": cause.probability,
         "parameters": {name: _value(value) for name, value in cause.parameters.items()},
-        "extra": cause.extra,
         "equivalent": list(dict.fromkeys(name.partition(":")[0] for name in cause.equivalent)),
         "equivalent_joints": joints,
         "gap_closed": None if cause.gap_closed is None else cause.gap_closed.to_json(),

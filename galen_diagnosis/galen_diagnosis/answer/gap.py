@@ -38,7 +38,7 @@ from galen_model.arrays import Array
 from galen_model.evidence.linear import Background, factor
 from galen_sim_driver.effects.effect import Effect
 from galen_sim_driver.effects.load import CableDrag
-from galen_sim_driver.effects.registry import contract_parameters, extra_parameters
+from galen_sim_driver.effects.registry import contract_parameters
 from scipy.linalg import cho_solve
 
 from galen_diagnosis.answer.answer import Interval
@@ -204,8 +204,8 @@ def covariance(
 
 def parameters(
     observation: Observation, hypothesis: Hypothesis, spread: Array
-) -> list[tuple[dict[str, Any], dict[str, Any]]]:
-    """Return of each effect the contract's parameters with intervals, and the rest as numbers."""
+) -> list[dict[str, Any]]:
+    """Return of each effect the contract's parameters with intervals."""
     generator = np.random.default_rng(_PARAMETER_SEED)
     out = []
     for part, values, where, effect in zip(
@@ -221,7 +221,7 @@ def parameters(
             name: _interval(part, name, value, [draw[name] for draw in draws])
             for name, value in told.items()
         }
-        out.append((named, extra_parameters(effect)))
+        out.append(named)
     return out
 
 

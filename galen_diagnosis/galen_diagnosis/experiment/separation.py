@@ -16,7 +16,7 @@ i is the truth, what hypothesis j leaves after its parameters were fitted again 
 (Woodbury). For two hypotheses without free parameters the error rate of the better choice is
 Phi(-D/2). `expected_probability` is the probability that the truth would have after the experiment,
 mean over truths by their probabilities and over the noise: of these hypotheses alone, and as far as
-their laws are the arm's.
+their models are the arm's.
 """
 
 from __future__ import annotations

@@ -207,7 +207,7 @@ def _causes(
     for number, fit in enumerate(fits):
         spread = covariance(explored.observation, found.behind, fit, settings, left)
         told = parameters(explored.observation, fit, spread)
-        for index, (part, (named, extra)) in enumerate(zip(fit.parts, told, strict=True)):
+        for index, (part, named) in enumerate(zip(fit.parts, told, strict=True)):
             if part.effect in causes:
                 continue
             closed = gap.fraction if number == 0 and len(fit.parts) == 1 else None
@@ -219,7 +219,6 @@ def _causes(
                 parameters=named,
                 equivalent=_equivalent(explored, fit, index),
                 gap_closed=closed or (_share_closed(gap, fit, index) if number == 0 else None),
-                extra=extra,
             )
     return tuple(sorted(causes.values(), key=lambda cause: -cause.probability))
 

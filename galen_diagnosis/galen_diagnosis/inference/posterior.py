@@ -1,14 +1,11 @@
-"""Probabilities of hypotheses, and the few calibrated numbers of the evidence.
+"""Probabilities of hypotheses: none, effects alone and together, and something that isn't listed.
 
-The few numbers of the evidence that are not physics: calibrated on simulated recordings.
+The few numbers of the evidence that are not physics are calibrated on simulated recordings:
+`python -m benchmarks.calibrate_diagnosis` makes `calibration.json`; causes, sessions and unknown
+kinds there are others than those of `blind_check`.
 
-`python -m benchmarks.calibrate_diagnosis` makes `calibration.json`; causes, sessions and
-unknown kinds there are others than those of `blind_check`.
-
-Probabilities of hypotheses: none, effects alone and together, and something that isn't listed.
-
-A law is not quite the arm's: of the energy E that an effect explains, its law leaves a part
-kappa^2 E, spread over nu directions that the other hypotheses know nothing of. Under a hypothesis
+An effect's model is not quite the arm's: of the energy E that an effect explains, its model leaves
+a part kappa^2 E, spread over nu directions that the other hypotheses don't have. Under a hypothesis
 whose fit leaves the energy E_h the log likelihood is that of nu such directions with variance
 1 + v, v = kappa^2 (energy explained) / nu, beside white noise,
 
@@ -22,26 +19,24 @@ or alone: nu_u directions with the variance that fits best, which take what the 
 and all of E_0 where nothing listed is there. "None" has nothing but noise and a healthy arm's
 excess. Probabilities go as exp(eta l - c), with c what effects and unknown ones cost
 beforehand: eta < 1 tempers evidence that is never as good as its formula (Grünwald, van Ommen,
-Bayesian Analysis 12, 2017). Energies are counted from the noise, with the
-structure that the best fit leaves (`structure.py`).
+Bayesian Analysis 12, 2017). Energies are counted from the noise, with the structure that the best
+fit leaves (`structure.py`).
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from importlib import resources
-from typing import Any
 
 import numpy as np
-from galen_model.files.json_fields import FieldError, get, mapping, number, parse_json
 from scipy.special import logsumexp
 
-from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.inference.refine import Hypothesis
 from galen_diagnosis.inference.search import Found
 
-LAWS = {
+KNOWN = {
     "sensor_drift": "loose",
     "cable_drag": "loose",
     "deflection_hysteresis": "loose",
@@ -55,14 +50,12 @@ LAWS = {
     "wrench_delay": "firm",
     "tracker_delay": "firm",
 }
-"""How well an effect's law is known; all others are exact."""
-
-_LAW_KINDS = ("exact", "firm", "loose")
+"""How well an effect's model is known; all others are exact."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """kappa: fraction of what an effect explains that its law leaves, by how well it is known.
+    """kappa: fraction of what an effect explains that its model leaves, by how well it is known.
 
     dof: over how many directions that is spread. unknown_dof, unknown_cost: of the hypothesis that
     something else is there. more_cost: of each effect beyond the first. healthy: fraction of noise
@@ -81,39 +74,16 @@ class Settings:
     temper: float = 0.5
 
     def kappa_of(self, effect: str) -> float:
-        """Of an effect."""
-        return float(self.kappa[LAWS.get(effect, "exact")])
+        """Return an effect's."""
+        return float(self.kappa[KNOWN.get(effect, "exact")])
 
 
 def load_settings() -> Settings:
-    """Those of the package's calibration. Raises DiagnosisError."""
+    """Return those of the package's calibration."""
     file = resources.files(__package__) / "calibration.json"
     if not file.is_file():
         return Settings()
-    try:
-        return settings_from_json(parse_json(file.read_bytes()))
-    except (OSError, FieldError) as error:
-        raise DiagnosisError(f"{file}: {error}; install the package again") from error
-
-
-def settings_from_json(content: Any) -> Settings:
-    """From the file that `calibrate` writes; raises FieldError."""
-    found = mapping(get(mapping(content, "the file"), "settings"), "settings")
-    known = {field.name for field in fields(Settings)}
-    if strange := set(found) ^ known:
-        raise FieldError(f"settings: {sorted(strange)[0]!r:.40} is missing or unknown")
-    kappa = mapping(found["kappa"], "kappa")
-    return Settings(
-        kappa={law: _positive(get(kappa, law), f"kappa.{law}") for law in _LAW_KINDS},
-        **{name: _positive(found[name], name) for name in known - {"kappa"}},
-    )
-
-
-def _positive(value: Any, name: str) -> float:
-    found = number(value, name)
-    if found <= 0.0:
-        raise FieldError(f"{name} is {found:g}; it must be positive")
-    return found
+    return Settings(**json.loads(file.read_text(encoding="utf-8"))["settings"])
 
 
 _INPUTS_FREE = 0.8
@@ -165,7 +135,7 @@ def scored(found: Found, left: float) -> list[Scored]:
 def _counted(hypothesis: Hypothesis) -> float:
     """How much of Occam's factor counts against "unknown", which pays for no input.
 
-    Loads beyond a clipped axis are inputs that nobody measured, two a push, and no part of the
+    Loads beyond a clipped axis are inputs that were not measured, two a push, and no part of the
     effect; all listed effects but this one get them from the reading for nothing.
     """
     inputs = sum(

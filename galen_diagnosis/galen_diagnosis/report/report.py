@@ -47,8 +47,6 @@ _HOW = (
     " after and the closed fraction are of blocks of time that the fit has not seen.",
     "Closed fraction: (before - after) / (before - floor) of the mean squared residual in units of"
     " the noise; 1 means down to the noise.",
-    "Before is the same arm without the cause: what a healthy arm may be off stays as it was fitted"
-    " beside the cause, so that it neither closes the gap nor hides that it is closed.",
     "p-values of where the gap lies are how often noise and the tolerances of a healthy arm give"
     " as much, corrected for all cells of their table: in 5 % of healthy recordings any cell of it"
     " is marked.",
