@@ -5,7 +5,7 @@ import time
 import numpy as np
 import pytest
 from galen_bags.formats.bag import open_bag
-from galen_gravcomp.evaluate.bag import BagJob, evaluate_bag
+from galen_gravcomp.evaluate.bag import evaluate_bag
 from galen_gravcomp.node import GravcompNode
 from galen_model.files.calibration_file import write_calibration
 from galen_ros.cdr import WrenchWire
@@ -95,23 +95,3 @@ def test_the_node_and_the_evaluation_give_the_same_wrenches(tmp_path, faulty):
     if faulty:
         assert {"duplicate_stamp", "nonfinite_wrench"} == set(rejected)
         assert {"restarts", "out_of_order_wrench"} <= set(notices)
-
-
-def test_the_compensated_bag_holds_what_came_out_beside_all_that_was_there(tmp_path):
-    tool = tool_file()
-    write_calibration(tmp_path / "retractor.json", tool)
-    recording = faulty_recording(tool)
-    path = recording.write(tmp_path / "bag", namespace="left/")
-    job = BagJob(tool=tmp_path / "retractor.json", bags_out=tmp_path / "out", names={path: "bag"})
-    result = job.evaluate(path)
-    with open_bag(tmp_path / "out" / "bag_compensated") as bag, open_bag(path) as source:
-        assert bag.problems == []
-        names = ["/left/joint_states", "/left/wrench_raw"]
-        counts = {name: topic.count for name, topic in bag.topics.items()}
-        assert counts.pop("/left/wrench_compensated") == result.compensated
-        assert counts == {name: source.topics[name].count for name in names}
-        copied = [block.message(k) for block in bag.blocks(names) for k in range(len(block))]
-        was = [block.message(k) for block in source.blocks(names) for k in range(len(block))]
-        assert copied == was
-    again = evaluate_bag(tmp_path / "out" / "bag_compensated", tool)
-    np.testing.assert_array_equal(again.cells.mean, result.cells.mean)

@@ -91,24 +91,6 @@ def test_the_fast_way_is_the_posteriors(form):
     assert not pull.reading((1e6, -1e6, 1e6, 1e6, -1e6)).any()
 
 
-def test_it_says_where_the_pose_lies_and_how_well_the_pull_is_known():
-    pull = CablePull(a_drag())
-    assert pull.where == "no pose yet"
-    assert np.isnan(pull.std).all()
-    pull.reading(tuple(HOME.tolist()))
-    inside = pull.values()
-    assert inside["cable"] == "inside" and inside["cable_weight"] == 1.0
-    std = pull.std
-    assert (std > 0.0).all() and std[0] < 0.01
-    pull.reading((*HOME[:2].tolist(), HOME[2] + 0.09, 0.0, 0.0))
-    assert pull.where == "edge"
-    pull.reading((*HOME[:2].tolist(), HOME[2] + 0.3, 0.0, 0.0))
-    assert pull.where == "outside"
-    assert pull.std[0] > 10.0 * std[0]
-    pull.forget()
-    assert pull.where == "no pose yet"
-
-
 # --- in the compensator -------------------------------------------------------------------------
 
 

@@ -6,22 +6,14 @@ import numpy as np
 import pytest
 from galen_bags.arrays.arm_recording import read_arm
 from galen_bags.convert import main as convert
-from galen_bags.formats.bag import open_bag
 from galen_gravcomp.compensator import Compensator, PairedWrench
 from galen_gravcomp.evaluate.command import main as evaluate
-from galen_gravcomp.node import GravcompNode
 from galen_model.files.calibration_file import read_calibration
-from galen_ros.messages import STREAM, stamp_to_ns, wrench_to_array
-from galen_ros.node.testing import Harness, parameters
-from geometry_msgs.msg import WrenchStamped
-from rclpy.node import Node
-from sensor_msgs.msg import JointState
 
 KUKA = Path(__file__).resolve().parents[3] / "shared" / "data" / "real" / "kuka_ati_gamma"
 pytestmark = pytest.mark.skipif(
     not KUKA.is_dir(), reason="measured data is not beside the checkout"
 )
-_AT_ONCE = 200  # far fewer than a queue holds
 
 
 @pytest.fixture(scope="module")
@@ -63,39 +55,6 @@ def offline(bag, file):
     return [result.stamp_ns for result in done], np.array([r.wrench for r in done]), counts
 
 
-def through_the_node(bag, file, counts):
-    """What `gravcomp_node` publishes when the recording is: stamps and wrenches."""
-    heard = []
-    with Harness() as harness:
-        values = parameters(tools_dir=str(file.parent), tool=file.stem)
-        harness.add(lambda context: GravcompNode(context=context, parameter_overrides=values))
-        player = harness.add(lambda context: Node("player", context=context))
-        publishers = [
-            player.create_publisher(JointState, "joint_states", STREAM),
-            player.create_publisher(WrenchStamped, "wrench_raw", STREAM),
-        ]
-        player.create_subscription(WrenchStamped, "wrench_compensated", heard.append, STREAM)
-        harness.wait_for(
-            lambda: (
-                all(publisher.get_subscription_count() for publisher in publishers)
-                and player.count_publishers("wrench_compensated")
-            ),
-            10.0,
-            "the node's topics",
-        )
-        with open_bag(bag) as opened:
-            (block,) = opened.blocks(["/joint_states", "/wrench_raw"])
-        for row, topic in enumerate(block.topic.tolist()):
-            publishers[topic].publish(block.message(row))
-            if row % _AT_ONCE == 0 or row == len(block) - 1:
-                due = counts[row]
-                harness.wait_for(
-                    lambda due=due: len(heard) >= due, 10.0, f"{due} compensated wrenches"
-                )
-    stamps = [stamp_to_ns(message.header.stamp) for message in heard]
-    return stamps, np.array([wrench_to_array(message) for message in heard])
-
-
 def rms(values):
     return np.sqrt(np.mean(values**2, axis=0))
 
@@ -110,11 +69,3 @@ def test_the_static_model_leaves_the_forces_of_acceleration(baseline):
     assert rms(wrenches)[0] == pytest.approx(1.22, abs=0.02)
     assert np.all(rms(wrenches)[1:3] < 0.6)
     assert np.all(rms(wrenches)[3:] < 0.08)
-
-
-def test_the_node_does_as_the_compensator_does_offline(baseline):
-    bag, file = baseline
-    expected_stamps, expected, counts = offline(bag, file)
-    stamps, wrenches = through_the_node(bag, file, counts)
-    assert stamps == expected_stamps
-    assert wrenches == pytest.approx(expected, abs=1e-12)
