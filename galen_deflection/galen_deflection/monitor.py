@@ -8,7 +8,6 @@ import numpy as np
 from galen_model.arrays import Array
 from galen_ros.stream.monitor import RATE_WINDOW_S, Severity, State, StreamMonitor, joined
 from galen_ros.stream.samples import Rejection
-from galen_ros.stream.watches import FROZEN_S
 
 from galen_deflection.deflector import Deflector, ModelRejection
 
@@ -23,14 +22,8 @@ class DeflectorMonitor(StreamMonitor):
     not_shown = (Rejection.RESTART, ModelRejection.NO_MODEL, ModelRejection.OTHER_TIP)
     working = "predicting"
 
-    def __init__(
-        self,
-        deflector: Deflector,
-        silence_s: float,
-        frozen_s: float = FROZEN_S,
-        late_s: float = 0.0,
-    ) -> None:
-        super().__init__(deflector.pairing, silence_s, frozen_s, late_s)
+    def __init__(self, deflector: Deflector) -> None:
+        super().__init__(deflector.pairing)
         self._deflector = deflector
         self._model_error = ""
         self._last_forgotten = ""

@@ -1,7 +1,6 @@
 """The deflection's node: wrench_compensated and joint_states in, how far the tip deflects out."""
 
 import time
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -46,9 +45,8 @@ class DeflectionNode(StreamNode):
     def _configure(self) -> None:
         p = self._config = self._held.now
         self._deflector = Deflector(p, self._on_restart, self._on_forgotten)
-        self._prediction = DeflectorMonitor(self._deflector, p.silence_s, p.frozen_s, p.late_s)
+        self._prediction = DeflectorMonitor(self._deflector)
         self._model_file = ""
-        self._model_written_at = ""
         self._gravcomp: GravcompState | None = None
         self._gravcomp_name = self._resolved(p.gravcomp_node)
 
@@ -130,7 +128,6 @@ class DeflectionNode(StreamNode):
 
     def _use(self, file: str, model: DeflectionModel | None) -> None:
         self._model_file = file
-        self._model_written_at = _written_at(file)
         self._prediction.set_model_error("")
         results = self._deflector.set_model(model)
         if results:
@@ -183,7 +180,6 @@ class DeflectionNode(StreamNode):
     def _values(self, now_s: float) -> dict[str, object]:
         values: dict[str, object] = {
             "model_file": self._model_file,
-            "model_file_written_at": self._model_written_at,
         }
         values |= self._prediction.values(now_s)
         state = self._gravcomp
@@ -196,16 +192,6 @@ class DeflectionNode(StreamNode):
 def _model_of(file: str) -> DeflectionModel | None:
     """The model of a file, None for no file; raises DeflectionError that names it."""
     return read_model(Path(file).expanduser()) if file else None
-
-
-def _written_at(file: str) -> str:
-    if not file:
-        return ""
-    try:
-        written_s = Path(file).expanduser().stat().st_mtime
-    except OSError:
-        return ""
-    return datetime.fromtimestamp(written_s, UTC).isoformat(timespec="seconds")
 
 
 def main() -> None:

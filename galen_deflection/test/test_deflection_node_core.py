@@ -317,8 +317,8 @@ def test_started_under_load_it_does_not_freeze_a_false_offset():
 
 class Watched(Rig):
     def __init__(self, model=MODEL):
-        super().__init__(model)
-        self.monitor = DeflectorMonitor(self.deflector, silence_s=1.0)
+        super().__init__(model, late_s=0.0)
+        self.monitor = DeflectorMonitor(self.deflector)
         self.now_s = 50.0
 
     def watch(self, count=10, **step):

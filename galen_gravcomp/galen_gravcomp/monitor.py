@@ -2,7 +2,6 @@
 
 from galen_ros.stream.monitor import Severity, State, StreamMonitor, joined
 from galen_ros.stream.samples import Rejection
-from galen_ros.stream.watches import FROZEN_S
 
 from galen_gravcomp.compensator import Compensator
 
@@ -14,14 +13,8 @@ class Monitor(StreamMonitor):
     working = "compensating"
     output = "wrench_compensated"
 
-    def __init__(
-        self,
-        compensator: Compensator,
-        silence_s: float,
-        frozen_s: float = FROZEN_S,
-        late_s: float = 0.0,
-    ) -> None:
-        super().__init__(compensator.pairing, silence_s, frozen_s, late_s)
+    def __init__(self, compensator: Compensator) -> None:
+        super().__init__(compensator.pairing)
         self._compensator = compensator
         self._tool_error = ""
         self._file_note = ""

@@ -43,7 +43,7 @@ class GravcompNode(StreamNode):
     def _configure(self) -> None:
         p = self._config = self._held.now
         self._compensator = Compensator(p, self._on_restart)
-        self._compensation = Monitor(self._compensator, p.silence_s, p.frozen_s, p.late_s)
+        self._compensation = Monitor(self._compensator)
         self._tare_progress = (0, 0.0)
 
         self._compensator.set_enabled(p.enabled)

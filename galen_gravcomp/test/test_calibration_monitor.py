@@ -6,6 +6,7 @@ from galen_gravcomp.calibration_monitor import CalibrationMonitor
 from galen_gravcomp.compensator import Compensator
 from galen_gravcomp.evidence import FitEvidence, Segments
 from galen_gravcomp.monitor import Monitor
+from galen_gravcomp.parameters import GravcompParameters
 from galen_model.arm.galen import GALEN
 from galen_model.evidence.verdict import Cause
 from galen_model.load.model import Load
@@ -142,8 +143,8 @@ def test_a_tare_in_the_first_stop_s_first_moments_is_no_end():
 
 
 def test_the_node_s_state_warns_of_it_and_a_bad_file_is_worse():
-    compensator = Compensator()
-    monitor = Monitor(compensator, 1.0)
+    compensator = Compensator(GravcompParameters(late_s=0.0))
+    monitor = Monitor(compensator)
     tool = tool_file()
     compensator.set_tool(tool)
 

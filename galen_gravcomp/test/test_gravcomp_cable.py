@@ -171,8 +171,8 @@ def test_a_tool_with_a_cable_and_one_without_follow_each_other():
 
 
 def test_outside_is_told_on_diagnostics():
-    compensator = Compensator()
-    monitor = Monitor(compensator, silence_s=1.0)
+    compensator = Compensator(GravcompParameters(late_s=0.0))
+    monitor = Monitor(compensator)
     compensator.set_tool(a_tool(a_drag()))
     for number, (away, state) in enumerate(((0.0, "compensating"), (0.3, "cable_outside"))):
         stamp_ns = START_NS + number * PERIOD_NS

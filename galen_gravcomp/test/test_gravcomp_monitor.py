@@ -4,6 +4,7 @@ import pytest
 from calibration_files import pointer
 from galen_gravcomp.compensator import Compensator
 from galen_gravcomp.monitor import Monitor
+from galen_gravcomp.parameters import GravcompParameters
 from galen_ros.stream.monitor import HOLD_S, Severity
 from galen_ros.stream.samples import Notice, PairedWrench, Rejected, Rejection
 
@@ -17,8 +18,10 @@ class Rig:
     """Compensator and monitor fed as the node feeds them, at a time of our choice."""
 
     def __init__(self) -> None:
-        self.compensator = Compensator(on_restart=lambda why: self.monitor.on_restart(why, self.t))
-        self.monitor = Monitor(self.compensator, silence_s=1.0)
+        self.compensator = Compensator(
+            GravcompParameters(late_s=0.0), lambda why: self.monitor.on_restart(why, self.t)
+        )
+        self.monitor = Monitor(self.compensator)
         self.t = 1000.0
 
     def wait(self, time_s: float) -> None:

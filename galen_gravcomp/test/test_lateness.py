@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from galen_gravcomp.compensator import Compensator
 from galen_gravcomp.monitor import Monitor
-from galen_gravcomp.parameters import GravcompParameters
 from galen_ros.stream.monitor import NOTICE_HOLD_S, Severity
 from galen_ros.stream.watches import LateWatch
 from untouched_arm import tool_file
@@ -86,7 +85,7 @@ class Feed:
     def __init__(self):
         compensator = Compensator()
         compensator.set_tool(tool_file())
-        self.monitor = Monitor(compensator, 1.0, late_s=GravcompParameters().late_s)
+        self.monitor = Monitor(compensator)
         self.t = 100.0
 
     def step(self, late_s=0.0, wait_s=0.01):

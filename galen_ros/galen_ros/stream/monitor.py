@@ -16,7 +16,7 @@ import numpy as np
 
 from galen_ros.stream.pairing import WrenchPairing
 from galen_ros.stream.samples import Notice, Rejected, Rejection
-from galen_ros.stream.watches import FROZEN_S, FrozenWatch, LateWatch, Publishers
+from galen_ros.stream.watches import FrozenWatch, LateWatch, Publishers
 
 HOLD_S = 0.5
 NOTICE_HOLD_S = 5.0
@@ -61,20 +61,9 @@ class StreamMonitor(ABC):
     lost: ClassVar[str] = "nothing is published"
     """What is so when all wrenches are rejected."""
 
-    def __init__(
-        self,
-        pairing: WrenchPairing,
-        silence_s: float,
-        frozen_s: float = FROZEN_S,
-        late_s: float = 0.0,
-    ) -> None:
-        """`silence_s`: how long an input may be silent on the wall clock.
-
-        frozen_s: how long its wrench may be the same to the last bit while the arm turns; 0: any
-        time. late_s: how late a wrench may come; 0: any time.
-        """
+    def __init__(self, pairing: WrenchPairing) -> None:
         self._pairing = pairing
-        self._silence_s = silence_s
+        self._silence_s = pairing.parameters.silence_s
         self._outputs = 0
         self._joints_seen = 0
         self._joints_s: float | None = None
@@ -89,8 +78,8 @@ class StreamMonitor(ABC):
         }
         """By the inputs' topics."""
         self.outputs = Publishers(self.output)
-        self._frozen = FrozenWatch(frozen_s)
-        self._lateness = LateWatch(late_s)
+        self._frozen = FrozenWatch(pairing.parameters.frozen_s)
+        self._lateness = LateWatch(pairing.parameters.late_s)
         self._irregular = 0
         self._counts: deque[tuple[float, dict[str, int]]] = deque()
         self._latencies_s: deque[float] = deque(maxlen=LATENCY_SAMPLES)

@@ -147,8 +147,8 @@ class WrenchPairing:
         self._turning = arm.turning
         self.wrench_topic = wrench_topic
         self.sensor_frame = sensor_frame
+        self.parameters = parameters
         self._barred: tuple[Enum, str] | None = None
-        self._max_joint_age_s = parameters.max_joint_age_s
         self._limits = SampleLimits(
             max_age_ns=round(parameters.max_joint_age_s * 1e9),
             restart_gap_ns=round(parameters.restart_gap_s * 1e9),
@@ -428,7 +428,7 @@ class WrenchPairing:
             behind_ms = (newest_wrench - newest_joints) * 1e-6
             detail = (
                 f"joint_states are stale: {behind_ms:.0f} ms behind {self.wrench_topic},"
-                f" max_joint_age_s is {self._max_joint_age_s:g}"
+                f" max_joint_age_s is {self.parameters.max_joint_age_s:g}"
                 f"{self._clock_hint(newest_wrench - newest_joints)}"
             )
             return self.reject_waiting(*self._joint_reason(Rejection.STALE_JOINTS, detail))
@@ -457,7 +457,7 @@ class WrenchPairing:
             if joints is NoJoints.GAP:
                 detail = (
                     "joint_states are stale: two samples more than"
-                    f" {self._max_joint_age_s:g} s apart around a wrench"
+                    f" {self.parameters.max_joint_age_s:g} s apart around a wrench"
                 )
                 reason = self._joint_reason(Rejection.STALE_JOINTS, detail)
                 return self.reject(stamp_ns, *reason, number)
