@@ -5,11 +5,10 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from galen_model.errors import GalenError
 from galen_ros.command import (
     EXIT_OK,
     add_bags,
@@ -26,9 +25,7 @@ from galen_deflection.measurement.measured_deflection import join_recordings
 from galen_deflection.measurement.samples import DeflectionSamples
 from galen_deflection.models.file import KINDS, DeflectionModel, write_model
 from galen_deflection.models.interface import FitSettings
-from galen_deflection.models.network import NetworkModel
 from galen_deflection.models.spring_model import SpringModel
-from galen_deflection.scoring.cross_check import SPLITS, cross_check, usual_splits
 from galen_deflection.scoring.report import (
     TABLE_WIDTH,
     add_recordings,
@@ -36,10 +33,9 @@ from galen_deflection.scoring.report import (
     parameter_table,
     print_problems,
     read_all,
-    read_settings,
     score_table,
 )
-from galen_deflection.scoring.score import Score, score
+from galen_deflection.scoring.score import score
 
 _KINDS = f"""kinds:
 {chr(10).join(f"  {name:<20} {kind.summary}" for name, kind in KINDS.items())}"""
@@ -67,15 +63,6 @@ def build_parser() -> argparse.ArgumentParser:
         metavar="FILE",
         help="the model's file, JSON; an old one is kept as FILE.bak",
     )
-    parser.add_argument(
-        "--check",
-        nargs="+",
-        choices=[*SPLITS, "none"],
-        metavar="SPLIT",
-        help="fit again without some of the samples and score on those, as `evaluate` does: of"
-        f" {', '.join(SPLITS)}, none (default: seen and unseen positions; none for a network, since"
-        " each takes as long as the training)",
-    )
     add_json(parser)
     add_recordings(parser, required=True)
     return parser
@@ -94,41 +81,16 @@ def fit(kind: str, samples: DeflectionSamples, quiet: bool) -> DeflectionModel:
         return KINDS[kind].fit(samples, FitSettings(on_progress=show))
 
 
-def held_out(
-    kind: str, samples: DeflectionSamples, names: Sequence[str], quiet: bool
-) -> Mapping[str, Score | str]:
-    """Return scores of fits that had not seen the samples, by split; or why there is none."""
-    found: dict[str, Score | str] = {}
-    for name in names:
-        try:
-            splits = SPLITS[name](samples)
-            with progress(len(splits), "fit", quiet=quiet) as bar:
-                bar.set_description(f"held out, {name}")
-                found[name] = cross_check(kind, samples, splits, on_split=bar.update).score
-        except GalenError as error:
-            found[name] = str(error)
-    return found
-
-
-def _checks(arguments: argparse.Namespace, model: DeflectionModel, samples: DeflectionSamples
-) -> list[str]:  # fmt: skip
-    if arguments.check is not None:
-        return [name for name in dict.fromkeys(arguments.check) if name != "none"]
-    return [] if isinstance(model, NetworkModel) else usual_splits(samples)
-
-
 def run(arguments: argparse.Namespace) -> int:
     """Train as the options say; returns the exit code; raises GalenError."""
     check_file(arguments.output)
     quiet = arguments.json
-    recordings = read_all(arguments.bags, read_settings(arguments), quiet)
+    recordings = read_all(arguments.bags, arguments)
     samples = join_recordings(recordings)
     started_s = time.monotonic()
     model = fit(arguments.kind, samples, quiet)
     seconds = time.monotonic() - started_s
     write_model(arguments.output, model)
-    names = _checks(arguments, model, samples)
-    checked = held_out(arguments.kind, samples, names, quiet)
     content = {
         "kind": model.name,
         "file": str(arguments.output),
@@ -144,11 +106,7 @@ def run(arguments: argparse.Namespace) -> int:
     }
     fitted = score(samples, model.predict(samples))
     if quiet:
-        scores = {
-            name: {"error": one} if isinstance(one, str) else one.to_json()
-            for name, one in checked.items()
-        }
-        print_json(content | {"fit": fitted.to_json(), "held_out": scores})
+        print_json(content | {"fit": fitted.to_json()})
         return EXIT_OK
     to = terminal(TABLE_WIDTH)
     print_problems(recordings, to)
@@ -167,14 +125,10 @@ def run(arguments: argparse.Namespace) -> int:
     if isinstance(model, SpringModel):
         notes += [f"{name}: not identifiable from these samples; it keeps its prior"
                   for name in model.unresolved]  # fmt: skip
-    rows = {"fitted to": fitted} | {
-        f"held out: {name}": one for name, one in checked.items() if isinstance(one, Score)
-    }
-    to.print(score_table(rows, "How well it predicts"))
-    notes += [f"not held out, {name}: {one}" for name, one in checked.items()
-              if isinstance(one, str)]  # fmt: skip
-    if not checked:
-        notes.append("nothing was held out: the first row says little; --check does")
+    to.print(score_table({"fitted to": fitted}, "How well it predicts the same samples"))
+    notes.append(
+        "nothing was held out: `evaluate BAG --kinds` fits to a part and scores on the rest"
+    )
     for note in notes:
         to.print(f"[yellow]{note}[/yellow]", soft_wrap=True)
     to.print(f"[bold green]model file: {arguments.output}[/bold green]", soft_wrap=True)

@@ -15,8 +15,9 @@ from galen_deflection.collection.plan import (
     WantedPush,
     make_plan,
 )
-from galen_deflection.collection.recorder import CollectionFolder, CollectionFolderError
+from galen_deflection.collection.recorder import CollectionFolder
 from galen_deflection.collection.watches import MarkerPoses, PushWatch
+from galen_deflection.errors import DeflectionError
 from galen_model.arm.galen import HOME
 from galen_model.errors import ToolNameError
 from galen_model.files.calibration_file import read_calibration
@@ -224,12 +225,12 @@ def test_a_name_that_must_not_reach_a_path(tmp_path, name):
 
 def test_what_is_there_is_not_written_over(tmp_path):
     (tmp_path / "monday").symlink_to(tmp_path / "nowhere")
-    with pytest.raises(CollectionFolderError, match="monday: is there already"):
+    with pytest.raises(DeflectionError, match="monday: is there already"):
         CollectionFolder(tmp_path, "monday")
     folder = CollectionFolder(tmp_path, "tuesday")
     folder.make(TOOL)
     (tmp_path / "tuesday").mkdir()  # another one was quicker
-    with pytest.raises(CollectionFolderError, match="tuesday: is there already"):
+    with pytest.raises(DeflectionError, match="tuesday: is there already"):
         folder.close({}, finished=True)
     assert (tmp_path / "tuesday.unfinished" / "tool.json").exists()
 
@@ -237,7 +238,7 @@ def test_what_is_there_is_not_written_over(tmp_path):
 def test_a_place_that_can_not_be_written_is_named(tmp_path):
     (tmp_path / "file").write_text("")
     folder = CollectionFolder(tmp_path / "file", "monday")
-    with pytest.raises(CollectionFolderError, match="monday: can't be made"):
+    with pytest.raises(DeflectionError, match="monday: can't be made"):
         folder.make(TOOL)
 
 

@@ -41,8 +41,8 @@ from galen_deflection.collection.procedure import CollectionProcedure
 from galen_deflection.collection.recorder import (
     BagRecording,
     CollectionFolder,
-    CollectionFolderError,
 )
+from galen_deflection.errors import DeflectionError
 from galen_msgs.action import CollectPushes
 from galen_msgs.srv import PushTool
 
@@ -112,7 +112,7 @@ class CollectAction(ArmAction):
             plan = make_plan(wanted, np.asarray(tool.tip_m, float))
         except ToolNameError as error:
             raise RejectedGoalError(ErrorCode.INVALID_NAME, str(error)) from error
-        except CollectionFolderError as error:
+        except DeflectionError as error:
             raise RejectedGoalError(ErrorCode.WRITE_FAILED, str(error)) from error
         except CalibrationFileError as error:
             raise RejectedGoalError(ErrorCode.TOOL_FILE, str(error)) from error
@@ -293,7 +293,7 @@ class CollectAction(ArmAction):
         content = summary(request, goal.plan, end, goal.messages)
         try:
             goal.folder.close(content, finished=end.error_code == ErrorCode.NONE)
-        except CollectionFolderError as error:
+        except DeflectionError as error:
             end = _worse(end, str(error))
         goal.directory = str(goal.folder.path)
         return end

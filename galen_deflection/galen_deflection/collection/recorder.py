@@ -27,7 +27,6 @@ from typing import Any
 
 from galen_bags.formats.writer import GrowingBagWriter
 from galen_bags.recorder import RecorderNode
-from galen_model.errors import GalenError
 from galen_model.files.atomic_file import write_whole
 from galen_model.files.calibration_file import CalibrationFile, check_tool_name, write_calibration
 from rclpy.executors import SingleThreadedExecutor
@@ -35,21 +34,18 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from galen_bags import BagError
+from galen_deflection.errors import DeflectionError
 
 _SPIN_S = 0.05
 TOOL_FILE, SUMMARY_FILE = "tool.json", "collection.json"
 _MOST_UNFINISHED = 1000
 
 
-class CollectionFolderError(GalenError):
-    """A folder that is there already, or can't be written; the message names it."""
-
-
 class CollectionFolder:
     """One collection's folder, from its making to its name."""
 
     def __init__(self, recordings_dir: Path, name: str) -> None:
-        """Only checks; raises ToolNameError and CollectionFolderError."""
+        """Only checks; raises ToolNameError and DeflectionError."""
         self.final = recordings_dir / check_tool_name(name, "recording's")
         self._reject_existing()
         self.path = self.final
@@ -60,13 +56,13 @@ class CollectionFolder:
             self.final.parent.mkdir(parents=True, exist_ok=True)
             self.path = self._make_unfinished()
         except OSError as error:
-            raise CollectionFolderError(f"{self.final}: can't be made: {error}") from error
+            raise DeflectionError(f"{self.final}: can't be made: {error}") from error
         write_calibration(self.path / TOOL_FILE, tool)
 
     def close(self, summary: Mapping[str, Any], *, finished: bool) -> Path:
         """Write the summary and return the folder, under its own name if it is finished.
 
-        Raises CollectionFolderError; all that was recorded is then in `path`.
+        Raises DeflectionError; all that was recorded is then in `path`.
         """
         text = json.dumps(summary, indent=2) + "\n"
         try:
@@ -76,7 +72,7 @@ class CollectionFolder:
                 self.path.rename(self.final)
                 self.path = self.final
         except OSError as error:
-            raise CollectionFolderError(f"{self.path}: can't be written: {error}") from error
+            raise DeflectionError(f"{self.path}: can't be written: {error}") from error
         return self.path
 
     def discard(self) -> None:
@@ -94,11 +90,11 @@ class CollectionFolder:
             except FileExistsError:
                 continue
             return path
-        raise CollectionFolderError(f"{self.final}.unfinished: there are too many of them")
+        raise DeflectionError(f"{self.final}.unfinished: there are too many of them")
 
     def _reject_existing(self) -> None:
         if os.path.lexists(self.final):
-            raise CollectionFolderError(f"{self.final}: is there already, and is not written over")
+            raise DeflectionError(f"{self.final}: is there already, and is not written over")
 
 
 class BagRecording:

@@ -129,14 +129,14 @@ class NoContactWatch:
         time_ns, wrenches = np.array(self._stamps), np.array(self._wrenches)
         noise = noise_of_mean(time_ns, wrenches)
         noise = np.minimum(noise, settings.untouched_tolerance / SIGMAS)
-        found = no_contact_phase(time_ns, wrenches, noise)
-        if found.first is None:
-            return f"the tool is in contact: {found.why_none}"
-        if found.first[1] < time_ns[-1]:
-            at_s = (found.first[1] - time_ns[0]) / NS
+        phase, offset, why_none = no_contact_phase(time_ns, wrenches, noise)
+        if phase is None:
+            return f"the tool is in contact: {why_none}"
+        if phase[1] < time_ns[-1]:
+            at_s = (phase[1] - time_ns[0]) / NS
             return f"the tool is in contact: the wrench changes after {at_s:.1f} s"
         self.result = NoContact(
-            np.mean(self._joints, axis=0), found.offset, self.tool.mean(), self.base.mean()
+            np.mean(self._joints, axis=0), offset, self.tool.mean(), self.base.mean()
         )
         return ""
 

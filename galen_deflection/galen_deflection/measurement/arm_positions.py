@@ -66,18 +66,6 @@ def find_stays(line: Timeline, joints: Array, arm: Arm) -> tuple[list[Stay], Arr
     return stays, np.array(positions).reshape(-1, joints.shape[1])
 
 
-class NoContactPhase(NamedTuple):
-    """The phase without contact before the first push of one visit.
-
-    first: from when to when there is no contact before its first push (time_ns), None if there
-    never is. offset (6,): the wrench in `first`; why_none: a reason in words.
-    """
-
-    first: tuple[int, int] | None
-    offset: Array
-    why_none: str = ""
-
-
 def wrench_noise(wrenches: Array) -> Array:
     """Return the standard deviation (6,) of one sample's white noise, at least a quantum.
 
@@ -109,14 +97,17 @@ def noise_of_mean(time_ns: np.ndarray, wrenches: Array) -> Array:
     return np.maximum(white, np.quantile(steps, 0.25, axis=0) / _LOWER_QUARTILE / np.sqrt(6.0))
 
 
-def no_contact_phase(time_ns: np.ndarray, wrenches: Array, noise: Array) -> NoContactPhase:
+def no_contact_phase(
+    time_ns: np.ndarray, wrenches: Array, noise: Array
+) -> tuple[tuple[int, int] | None, Array, str]:
     """Find the first phase without contact in one visit's wrenches (n, 6) at time_ns (n,).
 
-    noise (6,): of a mean over the window (`noise_of_mean`).
+    noise (6,): of a mean over the window (`noise_of_mean`). Returns from when to when (time_ns), or
+    None, the mean wrench (6,) meanwhile, and why there is none, in words.
     """
     nothing = np.full(6, np.nan)
     if len(time_ns) < 3:
-        return NoContactPhase(None, nothing, "there are no wrenches")
+        return None, nothing, "there are no wrenches"
     mean = _moving_mean(wrenches, _window_samples(time_ns))
     limit = SIGMAS * noise
     start_rows = int(np.searchsorted(time_ns, time_ns[0] + round(_MIN_DURATION_S * _NS)))
@@ -126,19 +117,15 @@ def no_contact_phase(time_ns: np.ndarray, wrenches: Array, noise: Array) -> NoCo
         away = np.any(np.abs(mean - offset) > limit, axis=1)
         stop = int(np.argmax(away)) if away.any() else len(time_ns)
         if stop < start_rows:
-            return NoContactPhase(None, nothing, "the wrench changes from the start")
+            return None, nothing, "the wrench changes from the start"
     if np.any(np.abs(offset) > _MAX_OFFSET):
         force, torque = np.linalg.norm(offset[:3]), 1e3 * np.linalg.norm(offset[3:])
-        return NoContactPhase(
-            None, nothing, f"it begins under load ({force:.2f} N, {torque:.0f} mN·m)"
-        )
+        return None, nothing, f"it begins under load ({force:.2f} N, {torque:.0f} mN·m)"
     margin_ns = round(_MARGIN_S * _NS)
     end_ns = int(time_ns[stop - 1]) - (margin_ns if stop < len(time_ns) else 0)
     if end_ns - time_ns[0] < _MIN_DURATION_S * _NS:
-        return NoContactPhase(
-            None, nothing, f"it is without contact for less than {_MIN_DURATION_S:g} s"
-        )
-    return NoContactPhase((int(time_ns[0]), end_ns), offset)
+        return None, nothing, f"it is without contact for less than {_MIN_DURATION_S:g} s"
+    return (int(time_ns[0]), end_ns), offset, ""
 
 
 def _window_samples(time_ns: np.ndarray) -> int:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from galen_bags.many import calibration_of_bag
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import CalibrationFile
@@ -23,23 +22,6 @@ _LEAST_NOISE = 1e-6
 _BIAS_DRIFTS = 1.5
 _MAD_TO_STD = 1.4826
 _FAR_OFF = 6.0 * _MAD_TO_STD
-
-
-@dataclass(frozen=True)
-class ReadSettings:
-    """How bags become samples.
-
-    tool: the tool's file, or, where `tool_beside` is true, its name in each bag's directory or the
-    one above. marker_offset: as in `measure_deflection`.
-    """
-
-    tool: Path
-    tool_beside: bool = False
-    marker_offset: bool = False
-
-    def tool_of(self, bag: Path) -> CalibrationFile:
-        """Return the tool that a bag was recorded with; raises GalenError that names the file."""
-        return calibration_of_bag(bag, self.tool, beside=self.tool_beside)
 
 
 @dataclass(frozen=True)
@@ -62,12 +44,14 @@ class Recording:
 
 def read_recording(
     path: Path,
-    settings: ReadSettings,
+    tool: CalibrationFile,
+    marker_offset: bool = False,
     on_progress: Callable[[int, int | None], None] | None = None,
 ) -> Recording:
-    """Read and register one bag; raises GalenError that names the bag or the tool's file."""
-    pushes = read_pushes(path, settings.tool_of(path), on_progress)
-    recording = measure_deflection(pushes, marker_offset=settings.marker_offset)
+    """Read and register one bag; raises GalenError that names the bag."""
+    recording = measure_deflection(
+        read_pushes(path, tool, on_progress), marker_offset=marker_offset
+    )
     if not len(recording.samples):
         raise DeflectionError(f"{path}: no deflection could be measured in it")
     return recording

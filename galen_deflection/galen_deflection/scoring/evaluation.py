@@ -34,8 +34,8 @@ from galen_deflection.scoring.report import (
     TABLE_WIDTH,
     print_problems,
     read_all,
-    read_settings,
     score_table,
+    tool_of,
 )
 from galen_deflection.scoring.score import Score, by_position, score
 
@@ -47,7 +47,7 @@ def evaluate_files(arguments: argparse.Namespace) -> int:
 
     Of several recordings, one that can't be used is named, and the others are evaluated.
     """
-    bags, settings = find_bags(arguments.inputs), read_settings(arguments)
+    bags = find_bags(arguments.inputs)
     paths = _model_names(list(dict.fromkeys(arguments.model)))
     models = {name: read_model(path) for name, path in paths.items()}
     names = distinct_names(bags)
@@ -56,9 +56,10 @@ def evaluate_files(arguments: argparse.Namespace) -> int:
     with progress(None, "msg", quiet=arguments.json) as bar:
         for bag in bags:
             try:
+                tool = tool_of(bag, arguments)
                 for name, model in models.items():
-                    _check_tip(paths[name], model, bag, settings.tool_of(bag))
-                recording = read_recording(bag, settings, _shown_by(bar))
+                    _check_tip(paths[name], model, bag, tool)
+                recording = read_recording(bag, tool, arguments.marker_offset, _shown_by(bar))
                 row, scores = _scored(recording, models, paths)
                 row["plots"] = _plots(
                     arguments.plots, recording.samples, _predicted(recording, models), names[bag]
@@ -175,7 +176,7 @@ def evaluate_kinds(arguments: argparse.Namespace) -> int:
 
     Raises GalenError; a kind that can't be fitted is named, and the others are scored.
     """
-    recordings = read_all(arguments.inputs, read_settings(arguments), arguments.json)
+    recordings = read_all(arguments.inputs, arguments)
     samples = join_recordings(recordings)
     names = arguments.split or usual_splits(samples)
     splits = {name: SPLITS[name](samples) for name in names}

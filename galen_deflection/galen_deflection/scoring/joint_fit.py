@@ -157,14 +157,6 @@ def _cells(label: np.ndarray, count: int) -> list[tuple[int, slice]]:
 # Physical models: which terms each has, and how fine its thresholds are
 
 
-class Form(NamedTuple):
-    """A model's terms beside the offset and the common ones; grids of plays to choose from."""
-
-    name: str
-    terms: tuple[str, ...]
-    grids: tuple[tuple[str, ...], ...] = ((),)
-
-
 def _plays(names: Sequence[str], grids: Sequence[Sequence[int]]) -> tuple[tuple[str, ...], ...]:
     return tuple(tuple(names[k] for k in grid) for grid in grids)
 
@@ -175,16 +167,17 @@ _MOTION = _plays(MOTION_PLAYS, ((4,), (2, 4), (0, 2, 4, 6), range(len(MOTION_PLA
 CONSTANT, COMMON_TERMS = "constant", "common terms"
 """The mean lag; offset and the terms that all others have. Neither is a model of a torque."""
 
-FORMS = (
-    Form(CONSTANT, ()),
-    Form(COMMON_TERMS, ()),
-    Form("linear", ("spring",)),
-    Form("direction", ("spring", "direction")),
-    Form("torque plays", ("spring",), _TORQUE),
-    Form("lost motion", ("spring",), _MOTION),
-    Form("both plays", ("spring",), tuple(a + b for a, b in zip(_TORQUE, _MOTION, strict=True))),
-)
-"""In the order in which they are listed, simpler ones first."""
+FORMS: dict[str, tuple[tuple[str, ...], ...]] = {
+    CONSTANT: ((),),
+    COMMON_TERMS: ((),),
+    "linear": (("spring",),),
+    "direction": (("spring", "direction"),),
+    "torque plays": tuple(("spring", *plays) for plays in _TORQUE),
+    "lost motion": tuple(("spring", *plays) for plays in _MOTION),
+    "both plays": tuple(("spring", *a, *b) for a, b in zip(_TORQUE, _MOTION, strict=True)),
+}
+"""A model's terms beside the offset and the common ones, grids of plays to choose from; simpler
+ones first."""
 
 
 class Chosen(NamedTuple):
@@ -207,16 +200,16 @@ def choose(
     common: terms that all forms but the constant have.
     """
     found = {}
-    for form in FORMS:
-        if form.name == COMMON_TERMS and not common:
+    for name, grids in FORMS.items():
+        if name == COMMON_TERMS and not common:
             continue
-        given = ("offset", *(common if form.name != CONSTANT else ()), *form.terms)
-        candidates = [given + grid for grid in form.grids]
+        given = ("offset", *(common if name != CONSTANT else ()))
+        candidates = [given + grid for grid in grids]
         costs = [_held_out_cost(sums, parts, terms) for terms in candidates]
         at = _first_good(costs)
         others = [k for k in range(len(costs)) if k != at] or [at]
         next_best = candidates[min(others, key=costs.__getitem__)]
-        found[form.name] = Chosen(form.name, candidates[at], costs[at], next_best)
+        found[name] = Chosen(name, candidates[at], costs[at], next_best)
     physical = [one for name, one in found.items() if name not in (CONSTANT, COMMON_TERMS)]
     return found, physical[_first_good([one.held_out for one in physical])]
 

@@ -8,13 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from galen_bags.formats.files import find_bags
+from galen_bags.many import calibration_of_bag
 from galen_model.arrays import Array
+from galen_model.files.calibration_file import CalibrationFile
 from galen_ros.command import progress
 from rich.console import Console
 from rich.table import Table
 
 from galen_deflection.measurement.measured_deflection import (
-    ReadSettings,
     Recording,
     read_recording,
 )
@@ -46,24 +47,24 @@ def add_recordings(parser: argparse.ArgumentParser, *, required: bool) -> None:
     )
 
 
-def read_settings(arguments: argparse.Namespace) -> ReadSettings:
-    """Make the settings from the options of `add_recordings`."""
+def tool_of(bag: Path, arguments: argparse.Namespace) -> CalibrationFile:
+    """Return the tool that a bag was recorded with; raises GalenError that names the file."""
     beside = arguments.tool is None
-    return ReadSettings(
-        tool=Path(arguments.tool_beside) if beside else arguments.tool,
-        tool_beside=beside,
-        marker_offset=arguments.marker_offset,
-    )
+    tool = Path(arguments.tool_beside) if beside else arguments.tool
+    return calibration_of_bag(bag, tool, beside=beside)
 
 
-def read_all(paths: Sequence[Path], settings: ReadSettings, quiet: bool) -> list[Recording]:
-    """Read the recordings at or below these paths; raises GalenError for the first bad one."""
+def read_all(paths: Sequence[Path], arguments: argparse.Namespace) -> list[Recording]:
+    """Read the recordings at or below these paths, by the options of `add_recordings`.
+
+    Raises GalenError for the first bad one.
+    """
     bags = find_bags(paths)
-    with progress(len(bags), "bag", quiet=quiet) as bar:
+    with progress(len(bags), "bag", quiet=arguments.json) as bar:
         found = []
         for bag in bags:
             bar.set_description(f"reading {bag.name}")
-            found.append(read_recording(bag, settings))
+            found.append(read_recording(bag, tool_of(bag, arguments), arguments.marker_offset))
             bar.update()
     return found
 
