@@ -56,19 +56,6 @@ def test_joint_zeros_are_written_and_told(tmp_path):
     assert fields["joint_zero_rad"]["roll"] == pytest.approx(mounting.joint_zero_rad[0])
 
 
-@pytest.mark.slow
-def test_a_healthy_arm_is_warned_that_it_does_not_pay(tmp_path):
-    done = estimate(
-        tmp_path / "pointer.json",
-        "pointer",
-        np.zeros(3),
-        measured(np.zeros(2)),
-        [],
-        mounting=MountingRequest(("joint_zero",)),
-    )
-    assert any("do not pay" in text for text in done.warnings)
-
-
 def test_what_the_poses_can_not_tell_writes_nothing(tmp_path):
     path = tmp_path / "pointer.json"
     request = MountingRequest(("joint_zero", "base_inclination"))

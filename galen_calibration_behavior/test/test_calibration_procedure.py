@@ -425,14 +425,6 @@ def test_a_wrench_that_reports_no_number_while_zeroing_is_bad_input():
     failed(World(arm=arm).run(), ErrorCode.BAD_INPUT, "wrench_raw: fx not finite")
 
 
-def test_a_long_settling_does_not_keep_a_cancel_from_seeing_the_arm_stop():
-    world = World(dataclasses.replace(SETTINGS, settle_s=10.0))
-    world.run(lambda w: w.of(MoveTo))
-    world.procedure.cancel()
-    world.run()
-    assert world.end.error_msg == "canceled in state HOME"
-
-
 def test_zeroing_is_tried_again_when_someone_still_holds_the_arm():
     world = World(one_sweep=True)
     world.run(in_state(State.ZERO))

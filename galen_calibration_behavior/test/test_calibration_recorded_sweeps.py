@@ -202,13 +202,6 @@ def test_the_border_given_by_hand_is_taken_and_a_wrong_one_is_found_out():
         two_sweeps(tape, tool_on_at_s=0.0)
 
 
-def test_the_tool_may_come_on_elsewhere_than_at_home():
-    tape = Tape().stay(1.0).zero().sweep(POSES)
-    tape.tool = POINTER
-    sweeps = two_sweeps(tape.sweep(POSES))
-    assert counts(sweeps) == (len(POSES), len(POSES))
-
-
 def test_two_recordings_of_a_sweep_each():
     bare = visits(Tape(1).stay(1.0).zero().stay(1.0).sweep(POSES))
     tool = visits(Tape(2, tool=POINTER).sweep(POSES).move((0.0, 0.0)).stay(1.0))
@@ -218,13 +211,6 @@ def test_two_recordings_of_a_sweep_each():
     assert error_squared(found(sweeps).content.load, POINTER) < CHI2_4
     with pytest.raises(RecordingError, match="the load is another from"):
         SORTER.two_recordings(bare, visits(Tape().calibration(POINTER)))
-
-
-def test_one_sweep_alone_says_what_it_leaves_open():
-    tape = Tape(2).stay(1.0).zero()
-    tape.tool = RETRACTOR
-    recording = visits(tape.stay(1.0).sweep(POSES))
-    assert found(SORTER.one_sweep(recording)).content.unresolved
 
 
 def test_a_recording_cut_off_in_the_second_sweep_gives_what_it_holds():
