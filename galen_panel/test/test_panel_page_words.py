@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 from fake_suite import ACTIVE, ALL, POINTER, RETRACTOR
-from galen_panel.messages import hints, texts
+from galen_panel.messages import programs, texts
 from galen_panel.page.layout import count
 from galen_panel.page.outcome import Fate, fate, left_out, sentence_of, title_and_level
 from galen_panel.snapshot import (
@@ -66,19 +66,19 @@ def test_numbers_and_times_are_written_as_a_person_reads_them(written, text):
 def test_each_service_that_the_page_calls_has_a_program_that_offers_it():
     nothing = SuiteState()
     for name in ALL:
-        assert "Start it: ros2 run" in hints.missing(nothing, name)
-        assert hints.missing(SuiteState(available=ALL), name) == ""
+        assert "Start it: ros2 run" in programs.missing(nothing, name)
+        assert programs.missing(SuiteState(available=ALL), name) == ""
 
 
 def test_nothing_is_started_while_something_moves_the_arm():
     running = Behaviour(1, BehaviourKind.COLLECT, "pointer")
     state = SuiteState(available=ALL, behaviours={BehaviourKind.COLLECT: running})
-    assert "Collection of pushes with pointer is under way" in hints.cannot_start(
+    assert "Collection of pushes with pointer is under way" in programs.cannot_start(
         state, BehaviourKind.CHECK
     )
     ended = replace(running, outcome=BehaviourOutcome("", "done"))
     assert (
-        hints.cannot_start(
+        programs.cannot_start(
             replace(state, behaviours={BehaviourKind.COLLECT: ended}), BehaviourKind.CHECK
         )
         == ""
@@ -90,7 +90,7 @@ def test_before_a_calibration_its_duration_is_told_where_its_node_tells_it():
         node = NodeReport("left/calibration", NodeLevel.OK, "ready", values, 0.0)
         state = SuiteState(nodes={node.name: node}, namespace="left")
         chosen = {"one_sweep": False, "by_hand": False} | options
-        return " ".join(hints.before_calibration(state, **chosen))
+        return " ".join(programs.before_calibration(state, **chosen))
 
     assert "about 3 min" in told({"sweep_s": "102"})
     assert "about 50 s" in told({"sweep_s": "49.5"}, one_sweep=True)

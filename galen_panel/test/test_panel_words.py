@@ -10,8 +10,8 @@ from galen_deflection.deflector import ModelRejection
 from galen_deflection.monitor import DeflectorMonitor
 from galen_gravcomp.monitor import Monitor
 from galen_panel.messages.advice import ADVICE, LIFECYCLE, REJECTED
-from galen_panel.messages.hints import PROGRAMS
-from galen_panel.messages.states import (
+from galen_panel.messages.programs import (
+    PROGRAMS,
     find_advice,
     others,
     overall,

@@ -10,7 +10,7 @@ from galen_model.errors import GalenError
 from galen_model.files.calibration_file import check_tool_name
 from nicegui import ui
 
-from galen_panel.messages import hints, texts
+from galen_panel.messages import programs, texts
 from galen_panel.page.outcome import OutcomeView
 from galen_panel.page.page import Page, confirmed, heading
 from galen_panel.snapshot import BehaviourKind, Goal, SuiteState
@@ -83,7 +83,7 @@ class _Card:
 
     def _update(self, state: SuiteState) -> None:
         self._form.update(state)
-        why_not = hints.cannot_start(state, self._kind)
+        why_not = programs.cannot_start(state, self._kind)
         self._why_not.set_text(why_not)
         self._why_not.set_visibility(bool(why_not))
         self._page.allow(self._start, why_not)
@@ -252,7 +252,7 @@ class CalibrationOptions:
 
     def before(self, state: SuiteState) -> list[str]:
         """List what a person must know before the arm moves."""
-        return hints.before_calibration(
+        return programs.before_calibration(
             state, one_sweep=bool(self._one_sweep.value), by_hand=bool(self._by_hand.value)
         )
 
@@ -267,13 +267,13 @@ class CalibrationOptions:
 
 async def _start_calibration(page: Page, goal: Goal, button: ui.button) -> None:
     """Start it once a person has said that the area is clear."""
-    before = hints.before_calibration(
+    before = programs.before_calibration(
         page.suite.state, one_sweep=goal.one_sweep, by_hand=goal.by_hand
     )
     title = f"Calibrate {goal.tool}?"
     if not await confirmed(page, title, before, AREA_CLEAR, "play_arrow", "primary"):
         return
-    why_not = hints.cannot_start(page.suite.state, BehaviourKind.CALIBRATE)
+    why_not = programs.cannot_start(page.suite.state, BehaviourKind.CALIBRATE)
     if why_not:
         page.complain(why_not)
     else:

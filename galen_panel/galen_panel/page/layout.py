@@ -10,8 +10,8 @@ from pathlib import Path
 
 from nicegui import ui
 
-from galen_panel.messages import hints, texts
-from galen_panel.messages.states import compensates, overall
+from galen_panel.messages import programs, texts
+from galen_panel.messages.programs import compensates, overall
 from galen_panel.page import behaviours, live, nodes, recordings, tools
 from galen_panel.page.page import LOOKS, Page, pick_class, set_prop
 from galen_panel.snapshot import Asked, Behaviour, BehaviourKind, LoadedTool, SuiteState
@@ -129,7 +129,7 @@ def _enable(page: Page) -> None:
         button.set_icon("toggle_on" if switched_on else "toggle_off")
         set_prop(button, "aria-checked", "true" if switched_on else "false")
         pick_class(button, "panel-switch-", word)
-        page.allow(button, hints.missing(state, "gravcomp/enable"))
+        page.allow(button, programs.missing(state, "gravcomp/enable"))
 
     page.on_change(update)
     ui.timer(_PERIOD_S, lambda: update(page.suite.state))
@@ -159,7 +159,7 @@ def _tare(page: Page) -> None:
 
     def update(state: SuiteState) -> None:
         taken.set_text(_tare_text(state.active_tool))
-        page.allow(button, hints.missing(state, "gravcomp/tare"))
+        page.allow(button, programs.missing(state, "gravcomp/tare"))
 
     page.on_change(update)
 
@@ -251,7 +251,7 @@ class _Strip:
             sentence, answer = question(behaviour.asked, behaviour.tool)
             self._asked.set_text(sentence)
             self._confirm.set_text(answer)
-        self._page.allow(self._confirm, hints.missing(state, "calibration/confirm"))
+        self._page.allow(self._confirm, programs.missing(state, "calibration/confirm"))
 
     async def _on_cancel(self) -> None:
         await self._page.ask(self._page.suite.cancel(self._kind), self._cancel)
@@ -262,7 +262,7 @@ class _Strip:
 
 def title(behaviour: Behaviour) -> str:
     """Title a behaviour, such as "Calibration of pointer: sweep with tool"."""
-    text = hints.title(behaviour)
+    text = programs.title(behaviour)
     if not behaviour.ours:
         text += " (started elsewhere)"
     return f"{text}: {behaviour.phase}" if behaviour.phase else text

@@ -8,8 +8,7 @@ from pathlib import Path
 
 from nicegui import ui
 
-from galen_panel.messages.hints import PROGRAMS
-from galen_panel.messages.states import Words, others, words_of, words_of_other
+from galen_panel.messages.programs import PROGRAMS, Words, others, words_of, words_of_other
 from galen_panel.page.page import LOOKS, Page
 from galen_panel.snapshot import NodeLevel
 

@@ -10,7 +10,7 @@ import numpy as np
 from galen_model.evidence.verdict import TARE_COMMAND, Cause, CheckAnswer
 from nicegui import ui
 
-from galen_panel.messages import hints, texts
+from galen_panel.messages import programs, texts
 from galen_panel.page.page import Page, confirmed, pick_class, table
 from galen_panel.snapshot import (
     LOST,
@@ -168,8 +168,10 @@ class FileNotice:
         way_back = "gravcomp/remove_tool" if self._outcome.new else "gravcomp/revert_tool"
         kept = text if now is Fate.ACTIVE else ""
         self._fate.set_text(text)
-        self._page.allow(self._keep, why_not or kept or hints.missing(state, "gravcomp/set_tool"))
-        self._page.allow(self._discard, why_not or hints.missing(state, way_back))
+        self._page.allow(
+            self._keep, why_not or kept or programs.missing(state, "gravcomp/set_tool")
+        )
+        self._page.allow(self._discard, why_not or programs.missing(state, way_back))
 
     async def _look(self) -> None:
         suite = self._page.suite

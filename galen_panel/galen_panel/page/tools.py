@@ -6,7 +6,7 @@ from galen_model.errors import GalenError
 from galen_model.files.calibration_file import check_tool_name
 from nicegui import ui
 
-from galen_panel.messages import hints, texts
+from galen_panel.messages import programs, texts
 from galen_panel.page.behaviours import AREA_CLEAR, CalibrationOptions
 from galen_panel.page.outcome import draw_comparison
 from galen_panel.page.page import (
@@ -62,9 +62,9 @@ class _Tools:
         pick_class(self._none, "panel-tool-", "active" if none else "other")
         set_prop(self._none, "aria-pressed", "true" if none else "false")
         self._none.set_text("No tool (active)" if none else "No tool")
-        set_tool = hints.missing(state, "gravcomp/set_tool")
+        set_tool = programs.missing(state, "gravcomp/set_tool")
         self._page.allow(self._none, set_tool)
-        self._page.allow(self._new, hints.missing(state, "calibrate_tool"))
+        self._page.allow(self._new, programs.missing(state, "calibrate_tool"))
         self._place(found)
         for tool in found:
             self._rows[tool.name].update(tool, state, set_tool)
@@ -146,9 +146,9 @@ class _Row:
             remove="invisible" if tool.has_previous else "",
         )
         self._page.allow(self._button, "Its file can't be used." if tool.problem else set_tool)
-        self._page.allow(self._revert, hints.missing(state, "gravcomp/revert_tool"))
+        self._page.allow(self._revert, programs.missing(state, "gravcomp/revert_tool"))
         active_tool = "It is active: activate another one first." if tool.active_tool else ""
-        missing = hints.missing(state, "gravcomp/remove_tool")
+        missing = programs.missing(state, "gravcomp/remove_tool")
         self._page.allow(self._remove, missing or active_tool)
 
     async def _activate(self) -> None:
@@ -184,7 +184,7 @@ def _made(tool: ListedTool) -> str:
 
 def _note(state: SuiteState) -> str:
     """Say what is wrong with the list as a whole; empty where nothing is."""
-    missing = hints.missing(state, "gravcomp/list_tools")
+    missing = programs.missing(state, "gravcomp/list_tools")
     if missing:
         return missing if state.tools is None else f"The list may be old: {missing}"
     if state.tools_problem:
@@ -253,7 +253,7 @@ async def _new_tool(page: Page) -> None:
             goal = options.goal(name.value or "") if name.validate() else None
             if goal is None:
                 return
-            why_not = hints.cannot_start(page.suite.state, BehaviourKind.CALIBRATE)
+            why_not = programs.cannot_start(page.suite.state, BehaviourKind.CALIBRATE)
             reason.set_text(why_not)
             if not why_not and (await page.ask(page.suite.start(goal), start)).ok:
                 shown.submit(True)

@@ -17,7 +17,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from galen_msgs.msg import ActiveTool
 from galen_msgs.srv import CompareTools, ListTools, RemoveTool, RevertTool, SetTool
-from galen_panel.messages.hints import DRIVER, GRAVCOMP, OFFERED_BY, Program
+from galen_panel.messages.programs import DRIVER, GRAVCOMP, OFFERED_BY, Program
 from galen_panel.ros.thread import CallError, Calls
 from galen_panel.snapshot import (
     Behaviour,

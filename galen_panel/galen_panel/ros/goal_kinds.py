@@ -22,7 +22,7 @@ from galen_model.files.calibration_file import check_tool_name
 from galen_ros.goal.client import result_to_dict
 
 from galen_msgs.action import CalibrateTool, CheckTool, CollectPushes
-from galen_panel.messages.hints import CALIBRATION, COLLECTION, NAMES, Program
+from galen_panel.messages.programs import CALIBRATION, COLLECTION, NAMES, Program
 from galen_panel.ros.thread import CallError
 from galen_panel.snapshot import Asked, BehaviourKind, BehaviourOutcome, Goal
 

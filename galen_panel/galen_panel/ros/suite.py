@@ -17,7 +17,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from galen_msgs.srv import CompareTools, RemoveTool, RevertTool, SetTool
 from galen_panel.history import History
-from galen_panel.messages.hints import CALIBRATION
+from galen_panel.messages.programs import CALIBRATION
 from galen_panel.ros.board import Board, Presence, Tools, comparison, hear_reports
 from galen_panel.ros.goal_kinds import KINDS
 from galen_panel.ros.goals import GoalFollower

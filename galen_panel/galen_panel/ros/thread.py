@@ -29,7 +29,7 @@ from rclpy.node import Node
 from rclpy.task import Future as RosFuture
 from rclpy.utilities import ok, try_shutdown
 
-from galen_panel.messages.hints import Program
+from galen_panel.messages.programs import Program
 
 T = TypeVar("T")
 
