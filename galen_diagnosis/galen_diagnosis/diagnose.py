@@ -48,8 +48,14 @@ from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.experiment.next_experiment import write_sweep
 from galen_diagnosis.inference.diagnosing import diagnose_recording
 from galen_diagnosis.observation.recording import read_recording
-from galen_diagnosis.report.output import EFFECT, check_output, effect_file, write_output
-from galen_diagnosis.report.report import print_answer, print_overview
+from galen_diagnosis.report.report import (
+    EFFECT,
+    check_output,
+    effect_file,
+    print_answer,
+    print_overview,
+    write_output,
+)
 from galen_diagnosis.tables.conclusion import BlockDiagnosis, diagnose_blocks
 from galen_diagnosis.tables.joint_rows import prepare_joint
 from galen_diagnosis.tables.table_rows import prepare_table

@@ -15,7 +15,6 @@ effects that count from a bag's first stamp get their time from the recording's 
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import shutil
@@ -33,6 +32,7 @@ from galen_model.arm.galen import GALEN, SENSOR, TRACKER_FRAME
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import CalibrationFile, LoadEstimate, write_calibration
 from galen_model.load.model import Load
+from galen_model.poses.order import quintic_duration_s
 from galen_ros.cdr import joint_state_bytes, pose_bytes, wrench_bytes
 from galen_ros.command import EXIT_OK, make_parser, run_command, writing
 from galen_sim_driver.effects.effect import BAG_ORDER, Effect
@@ -258,14 +258,8 @@ class _Tape:
 
 
 def _move_s(start: Array, end: Array) -> float:
-    """How long a quintic from rest to rest takes within the moves' limits, and 0.3 s at least.
-
-    Its largest velocity is 15/8 and its largest acceleration 10/sqrt(3) of way over time (squared).
-    """
-    way = np.abs(end - start)
-    by_velocity = 1.875 * way / _MOVE_VELOCITY
-    by_acceleration = np.sqrt(5.7735 * way / _MOVE_ACCELERATION)
-    return float(np.round(max(by_velocity.max(), by_acceleration.max(), 0.3), 2))
+    """How long a quintic from rest to rest takes within the moves' limits, and 0.3 s at least."""
+    return round(quintic_duration_s(end - start, _MOVE_VELOCITY, _MOVE_ACCELERATION, 0.3), 2)
 
 
 _TONES_HZ = np.array([0.09, 0.17, 0.31, 0.83])
@@ -371,13 +365,13 @@ def main(args: Sequence[str] | None = None) -> int:
     parser.add_argument("story", choices=STORIES, help="drift: figure 12; tilt: figure 13")
     parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="make this")
     arguments = parser.parse_args(args)
-    return run_command("simulated_recording", lambda: _story(arguments))
-
-
-def _story(arguments: argparse.Namespace) -> int:
     effect, seed = STORIES[arguments.story]
-    make_recording(arguments.output, [effect], seed, truth=True)
-    return EXIT_OK
+
+    def make() -> int:
+        make_recording(arguments.output, [effect], seed, truth=True)
+        return EXIT_OK
+
+    return run_command("simulated_recording", make)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """The command `diagnose`: what it writes, its exit codes, and that it never looks at the truth."""
 
 import json
+import os
 import shutil
 import sys
 from dataclasses import replace
@@ -13,7 +14,7 @@ from diagnosis_example import example_diagnosis
 from galen_bags.formats.writer import BagWriter
 from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.observation.recording import Recording
-from galen_diagnosis.report import output
+from galen_diagnosis.report import report
 from galen_model.arm.galen import JOINT_NAMES
 from galen_ros.cdr import joint_state_bytes, wrench_bytes
 from matplotlib import pyplot as plt
@@ -105,7 +106,7 @@ def test_what_fails_half_way_leaves_nothing(recordings, monkeypatch, capsys):
         raise OSError(28, "No space left on device")
 
     assert run("none", "--no-report", "--output", "o") == 0
-    monkeypatch.setattr(output, "_put", full)
+    monkeypatch.setattr(report, "_put", full)
     assert run("unknown", "--no-report", "--output", "o", "--overwrite") == 1
     assert run("unknown", "--no-report", "--output", "new") == 1
     assert capsys.readouterr().err.count("can't be written: No space left on device") == 2
@@ -154,27 +155,6 @@ def test_wrong_arguments_are_2(recordings, capsys):
         assert ended.value.code == 2
 
 
-class Opened:
-    """Every file that Python opens, by whatever way, while it is entered."""
-
-    def __init__(self):
-        self.paths = []
-        self._watching = False
-        sys.addaudithook(self._see)  # there is no way to take one away
-
-    def __enter__(self):
-        self._watching = True
-        return self
-
-    def __exit__(self, *_):
-        self._watching = False
-
-    def _see(self, event, arguments):
-        if self._watching and event == "open" and isinstance(arguments[0], str | bytes):
-            path = arguments[0]
-            self.paths.append(path.decode() if isinstance(path, bytes) else path)
-
-
 def write_recording(folder):
     """A second of standing still; the truth beside it is poisoned."""
     joints, wrench = joint_state_bytes(JOINT_NAMES, "base_link"), wrench_bytes("ft_sensor")
@@ -199,9 +179,15 @@ def test_the_truth_is_never_opened(monkeypatch, tmp_path, capsys):
         return diagnosed_as("none")
 
     monkeypatch.setattr(diagnose, "diagnose_recording", diagnosed)
-    with Opened() as opened:
-        assert run(tmp_path / "recording", "--no-report", "--output", tmp_path / "out") == 0
+    opened, watching = [], [True]
+
+    def see(event, arguments):  # there is no way to take a hook away
+        if watching and event == "open" and isinstance(arguments[0], str | bytes):
+            opened.append(Path(os.fsdecode(arguments[0])).name)
+
+    sys.addaudithook(see)
+    assert run(tmp_path / "recording", "--no-report", "--output", tmp_path / "out") == 0
+    watching.clear()
     assert set(seen[0].bags) == {"sweep", "motion"} and seen[0].missing == ("push",)
-    names = {Path(path).name for path in opened.paths}
-    assert "tool.json" in names and any(name.endswith(".mcap") for name in names)
-    assert "truth.json" not in names
+    assert "tool.json" in opened and any(name.endswith(".mcap") for name in opened)
+    assert "truth.json" not in opened

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from galen_bags.arrays.arm_recording import ArmRecording
-from galen_bags.arrays.timeline import lay_out, stamp_sentences
 from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.observation.recording import _REACH_S, _Arm, read_recording
 from galen_diagnosis.simulated_recording import make_recording, sweep_poses
@@ -58,19 +57,6 @@ def test_a_directory_without_bags_is_told_what_a_recording_is(tmp_path):
 def test_pauses_between_positions_are_no_missing_samples(tmp_path):
     make_recording(tmp_path / "r", seed=1, poses=sweep_poses()[:1], bags=("push",))
     assert read_recording(tmp_path / "r").problems == ()
-
-
-def test_samples_of_the_tracker_alone_that_are_missing_are_told():
-    """At 60 Hz 1 s of the tracker is missing; before it the recorder paused for 5 s."""
-    joint_s = np.concatenate([np.arange(5, 10, 0.01), np.arange(15, 25, 0.01)])
-    at_s = np.concatenate(
-        [np.arange(5, 10, 1 / 60), np.arange(15, 20, 1 / 60), np.arange(21, 25, 1 / 60)]
-    )
-    joint_ns, at_ns = (START_NS + (s * 1e9).astype(np.int64) for s in (joint_s, at_s))
-    line = lay_out(at_ns, at_ns, 1.0)
-    (told,) = stamp_sentences("tracker", line, START_NS, joint_ns)
-    assert told == "tracker: 1 gap, 60 samples missing, longest 1.02 s"
-    assert stamp_sentences("tracker", line, START_NS)[0].startswith("tracker: 2 gaps, ")
 
 
 @pytest.mark.parametrize("tool", ["", "{", "[]", '{"mass_kg": NaN}'])

@@ -10,9 +10,8 @@ import pytest
 import yaml
 from diagnosis_example import example_answer, example_diagnosis
 from galen_diagnosis.answer.answer import Answer, Cause, Interval
-from galen_diagnosis.report.output import effect_file
 from galen_diagnosis.report.pictures import gap_figure
-from galen_diagnosis.report.report import report
+from galen_diagnosis.report.report import effect_file, report
 from galen_diagnosis.report.words import (
     SENTENCES,
     cause_words,

@@ -1,4 +1,4 @@
-"""A diagnosis for people: one HTML page that opens without a network, and the terminal's tables.
+"""What a diagnosis leaves: one HTML page, the terminal's tables, the output directory.
 
 Text on the page is escaped by jinja2. Its Content-Security-Policy lets in nothing but pictures in
 the page itself and the one style sheet whose hash it names; a name that smuggled in a tag could
@@ -9,11 +9,20 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import json
+import os
+import shutil
+import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import yaml
+from galen_model.files.atomic_file import sync_directory
+from galen_ros.command import check_parent, writing
+from galen_sim_driver.effects.effect import Effect
+from galen_sim_driver.parameters import driver_file
 from jinja2 import Environment, FileSystemLoader
 from rich.console import Console
 from rich.markup import escape
@@ -21,6 +30,7 @@ from rich.table import Table
 
 from galen_diagnosis.answer.answer import NONE, UNKNOWN, Answer
 from galen_diagnosis.answer.localization import LEVEL
+from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.report.words import (
     RANKING_NOTE,
     p_words,
@@ -29,6 +39,12 @@ from galen_diagnosis.report.words import (
     title,
 )
 
+DIAGNOSIS, REPORT, EFFECT, PICTURES = (
+    "diagnosis.json",
+    "report.html",
+    "found_effect.yaml",
+    "pictures",
+)
 _SHOWN_PROBABILITY = 0.005
 _RANKED = 6
 _PLACES = 4
@@ -231,3 +247,96 @@ def print_overview(rows: Sequence[dict[str, Any]], console: Console) -> None:
     for row in rows:
         if "error" in row:
             console.print(f"failed: {escape(str(row['error']))}", soft_wrap=True)
+
+
+# The output directory
+
+
+def check_output(folder: Path, *, overwrite: bool) -> None:
+    """Raise GalenError where `write_output` would reject the folder, or can't write it."""
+    check_parent(folder)
+    if not os.path.lexists(folder):
+        return
+    if not overwrite:
+        raise DiagnosisError(f"{folder}: is there already; --overwrite replaces an old diagnosis")
+    if folder.is_symlink() or not (folder / DIAGNOSIS).is_file():
+        raise DiagnosisError(f"{folder}: not overwritten: it holds no {DIAGNOSIS}")
+
+
+def write_output(
+    answer: Answer,
+    folder: Path,
+    *,
+    driver: str | None = None,
+    draw: Callable[[Path], Mapping[str, Path]] | None = None,
+    overwrite: bool = False,
+) -> None:
+    """Write diagnosis.json and, where given, found_effect.yaml, report.html with its pictures.
+
+    They are made in a directory beside, which is renamed once all are there.
+
+    Args:
+        answer: the answer.
+        folder: the directory.
+        driver: `effect_file`'s text.
+        draw: writes the pictures into a directory, by name; None for no report.
+        overwrite: whether an old diagnosis is replaced.
+
+    Raises:
+        GalenError: an old directory is then untouched.
+
+    """
+    check_output(folder, overwrite=overwrite)
+    with writing(folder):
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        made = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
+        try:
+            content = json.dumps(answer.to_json(), indent=2, allow_nan=False)
+            (made / DIAGNOSIS).write_text(content + "\n", encoding="utf-8")
+            if driver is not None:
+                (made / EFFECT).write_text(driver, encoding="utf-8")
+            if draw is not None:
+                page = report(answer, draw(made / PICTURES))
+                (made / REPORT).write_text(page, encoding="utf-8")
+            made.chmod(0o755)  # mkdtemp's 0700 would hide it from the lab's others
+            _put(made, folder, overwrite=overwrite)
+        finally:
+            shutil.rmtree(made, ignore_errors=True)
+        sync_directory(folder.parent)
+
+
+def _put(made: Path, folder: Path, *, overwrite: bool) -> None:
+    """Give the new directory its name; an old one is moved aside first and then removed."""
+    if not (overwrite and folder.exists()):
+        made.rename(folder)  # fails where a directory with files came there meanwhile
+        return
+    aside = made.with_name(made.name + ".old")
+    folder.rename(aside)
+    try:
+        made.rename(folder)
+    except OSError:
+        aside.rename(folder)
+        raise
+    shutil.rmtree(aside, ignore_errors=True)
+
+
+_HEAD = """\
+# What the diagnosis of {recording} found, for the simulated driver:
+# {causes}
+#
+#   ros2 run galen_sim_driver sim_driver_node --ros-args --params-file THIS_FILE
+"""
+
+
+def effect_file(recording: str, effects: Sequence[Effect]) -> str | None:
+    """Return the found effects as the driver's parameters, YAML; None where there are none.
+
+    Raises ConfigError: the driver has one of each effect, so that two of a kind are rejected.
+    """
+    if not effects:
+        return None
+    # A recording's name is whatever its directory is called: no line may end in it.
+    name = "".join(letter if letter.isprintable() else "?" for letter in recording)
+    head = _HEAD.format(recording=name, causes=", ".join(effect.identity for effect in effects))
+    content = {f"/**/{node}": below for node, below in driver_file(effects).items()}
+    return head + yaml.safe_dump(content, sort_keys=False)
