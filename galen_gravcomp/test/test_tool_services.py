@@ -9,19 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 from calibration_files import pointer
-from diagnostic_msgs.msg import DiagnosticArray
-from galen_gravcomp.node import GravcompNode
 from galen_model.arm.galen import GALEN
 from galen_model.files.calibration_file import (
     calibration_path,
     write_calibration,
 )
-from galen_ros.messages import LATCHED, STREAM, fill_stamp, fill_wrench, wrench_to_array
-from galen_ros.node.testing import Harness, parameters
-from geometry_msgs.msg import WrenchStamped
-from rclpy.node import Node
-from sensor_msgs.msg import JointState
+from galen_ros.messages import LATCHED
+from galen_ros.node.testing import Harness
 from std_srvs.srv import SetBool, Trigger
+from test_gravcomp_node import LEFT, STILL, Bench
 
 from galen_gravcomp import tool_services
 from galen_msgs.msg import ActiveTool
@@ -35,59 +31,25 @@ from galen_msgs.srv import (
     SetTool,
 )
 
-JOINTS = np.array([0.02, -0.01, 0.45, 0.2, -0.1])
-LEFT = np.array([0.5, -0.4, 0.3, 0.01, -0.02, 0.03])
+JOINTS = np.array([9.0, 9.0, 9.0, *STILL])
 
 
 RMSE = np.arange(6) * 1e-3
 POINTER, RETRACTOR = pointer(rmse=RMSE), pointer("retractor", 0.2, rmse=RMSE)
 
 
-class Person(Node):
-    """Drives the arm, calls the services, listens."""
+class Person(Bench):
+    """Drives the arm, calls the services, hears which tool is active."""
 
-    def __init__(self, harness: Harness, **options: Any) -> None:
-        super().__init__("person", **options)
-        self.harness = harness
-        self.stamp_ns = 100_000_000_000
-        self.joints = self.create_publisher(JointState, "joint_states", STREAM)
-        self.wrench = self.create_publisher(WrenchStamped, "wrench_raw", STREAM)
-        self.outputs: list[np.ndarray] = []
-        self.states: list[str] = []
+    def __init__(self, harness: Harness, folder: Path) -> None:
+        super().__init__(harness, folder, {"tare_window_s": 0.05, "tare_ramp_s": 0.05})
         self.told: list[ActiveTool] = []
-        self.create_subscription(
-            WrenchStamped,
-            "wrench_compensated",
-            lambda message: self.outputs.append(wrench_to_array(message)),
-            STREAM,
+        self.listener.create_subscription(
+            ActiveTool, "gravcomp/active_tool", self.told.append, LATCHED
         )
-        self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
-        self.create_subscription(ActiveTool, "gravcomp/active_tool", self.told.append, LATCHED)
 
-    def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        self.states += [status.message for status in message.status if "gravcomp" in status.name]
-
-    def step(self) -> None:
-        """One sample of an arm with the pointer on."""
-        joints = JointState(name=["delta_x", "delta_y", "delta_z", "roll", "tilt"])
-        joints.position = JOINTS.tolist()
-        wrench = WrenchStamped()
-        wrench.header.frame_id = "ft_sensor"
-        fill_wrench(wrench, POINTER.predict(JOINTS[3:]) + LEFT)
-        for message in (joints, wrench):
-            fill_stamp(message.header.stamp, self.stamp_ns)
-        self.joints.publish(joints)
-        self.wrench.publish(wrench)
-        self.stamp_ns += 2_000_000
-
-    def call(self, service: str, kind: Any, **request: Any) -> Any:
-        client = self.create_client(kind, f"gravcomp/{service}")
-        return self.harness.call(client, kind.Request(**request))
-
-    def call_later(self, service: str, kind: Any) -> Any:
-        client = self.create_client(kind, f"gravcomp/{service}")
-        self.harness.wait_for(client.service_is_ready, 5.0, service)
-        return client.call_async(kind.Request())
+    def ask(self, service: str, kind: Any, **request: Any) -> Any:
+        return self.call(service, kind, kind.Request(**request))
 
     def wait_told(self, accepts: Callable[[ActiveTool], bool], what: str) -> ActiveTool:
         self.harness.wait_for(lambda: self.told and accepts(self.told[-1]), 5.0, what)
@@ -95,10 +57,9 @@ class Person(Node):
 
     def output(self) -> np.ndarray:
         """The newest one, after a step."""
-        count = len(self.outputs)
-        self.step()
-        self.harness.wait_for(lambda: len(self.outputs) > count, 5.0, "an output")
-        return self.outputs[-1]
+        stamp = self.step(LEFT)
+        self.harness.wait_for(lambda: self.output_at(stamp) is not None, 5.0, "an output")
+        return self.output_at(stamp)
 
 
 def test_tools_by_service_in_one_nodes_life(
@@ -109,21 +70,8 @@ def test_tools_by_service_in_one_nodes_life(
         write_calibration(calibration_path(tmp_path, tool.tool), tool)
     write_calibration(tmp_path / "cut.json.bak", pointer("cut", 0.1))
     (tmp_path / "cut.json").write_text("{")
-    values = {"tools_dir": str(tmp_path), "tool": "pointer", "tare_window_s": 0.05, "late_s": 0.0}
     with Harness() as harness:
-        harness.add(
-            lambda context: GravcompNode(
-                context=context, parameter_overrides=parameters(**values, tare_ramp_s=0.05)
-            )
-        )
-        person = harness.add(lambda context: Person(harness, context=context))
-        harness.wait_for(
-            lambda: (
-                person.joints.get_subscription_count() and person.wrench.get_subscription_count()
-            ),
-            10.0,
-            "the node",
-        )
+        person = Person(harness, tmp_path)
         # Latched: told once at the start, before this node was there.
         first = person.wait_told(lambda m: True, "the topic")
         assert (first.tool, first.mass_kg, first.enabled) == ("pointer", 0.06, True)
@@ -136,19 +84,19 @@ def test_tools_by_service_in_one_nodes_life(
         check_rename_active(person, tmp_path)
         check_changed_file(person, tmp_path)
         check_revert_active(person, tmp_path)
-        gone = person.call("set_tool", SetTool, tool="")
+        gone = person.ask("set_tool", SetTool, tool="")
         assert gone.success
         assert person.wait_told(lambda m: m.tool == "", "no tool").file_state == first.FILE_NONE
-        assert person.call("get_tool", GetTool).error_code == GetTool.Response.NOT_FOUND
-        removed = person.call("remove_tool", RemoveTool, tool="probe")
+        assert person.ask("get_tool", GetTool).error_code == GetTool.Response.NOT_FOUND
+        removed = person.ask("remove_tool", RemoveTool, tool="probe")
         assert removed.success and Path(removed.kept_as).is_file()
-        assert [row.tool for row in person.call("list_tools", ListTools).tools] == [
+        assert [row.tool for row in person.ask("list_tools", ListTools).tools] == [
             "cut", "drill", "retractor",
         ]  # fmt: skip
 
 
 def check_list_get_compare(person: Person, folder: Path) -> None:
-    answer = person.call("list_tools", ListTools)
+    answer = person.ask("list_tools", ListTools)
     assert answer.success and answer.tools_dir == str(folder) and answer.left_out == 0
     rows = {row.tool: row for row in answer.tools}
     assert list(rows) == ["cut", "drill", "pointer", "retractor"]
@@ -165,11 +113,11 @@ def check_list_get_compare(person: Person, folder: Path) -> None:
 
     # Live joints reach the base; before there are any, they must be given.
     asked = {"tool": "retractor", "frame": "base_link"}
-    answer = person.call("get_tool", GetTool, **asked)
+    answer = person.ask("get_tool", GetTool, **asked)
     assert answer.error_code == answer.NEEDS_JOINTS and "delta_x" in answer.error_msg
-    given = person.call("get_tool", GetTool, **asked, joints=JOINTS.tolist())
+    given = person.ask("get_tool", GetTool, **asked, joints=JOINTS.tolist())
     person.output()
-    live = person.call("get_tool", GetTool, **asked)
+    live = person.ask("get_tool", GetTool, **asked)
     rotation, origin = GALEN.sensor_pose(JOINTS)
     for answer in (given, live):
         assert answer.success and answer.frame == "base_link" and not answer.active_tool
@@ -177,7 +125,7 @@ def check_list_get_compare(person: Person, folder: Path) -> None:
         np.testing.assert_allclose(answer.tip_m, rotation @ RETRACTOR.tip_m + origin)
         np.testing.assert_array_equal(answer.joints, JOINTS)
     assert json.loads(live.content)["tool"] == "retractor"
-    active_tool = person.call("get_tool", GetTool)
+    active_tool = person.ask("get_tool", GetTool)
     assert (active_tool.tool, active_tool.active_tool, active_tool.frame) == (
         "pointer",
         True,
@@ -186,11 +134,11 @@ def check_list_get_compare(person: Person, folder: Path) -> None:
     assert np.isnan(active_tool.joints).all()
     np.testing.assert_array_equal(active_tool.com_m, POINTER.load.com_m)
 
-    other = person.call("compare_tools", CompareTools, b="retractor")
+    other = person.ask("compare_tools", CompareTools, b="retractor")
     assert other.success and not other.same_load and "'active pointer'" in other.text
     assert other.differences[0].text == "differs by 140 g (990 sigma)"
     assert other.worst_force_n == pytest.approx(0.14 * 9.80665)
-    assert person.call("compare_tools", CompareTools, a="pointer", b="drill").same_load
+    assert person.ask("compare_tools", CompareTools, a="pointer", b="drill").same_load
 
 
 def check_rejections(person: Person) -> None:
@@ -216,22 +164,22 @@ def check_rejections(person: Person) -> None:
             "pointer.json.bak",
         ),
     ):
-        answer = person.call(service, kind, **request)
+        answer = person.ask(service, kind, **request)
         assert not answer.success
         assert answer.error_code == getattr(answer, code), (service, request, answer)
         assert words in answer.error_msg
 
 
 def check_tare_and_switch(person: Person) -> None:
-    tare = person.call_later("tare", Trigger)
-    person.harness.wait_for(lambda: person.step() or tare.done(), 5.0, "the tare")
+    tare = person.listener.create_client(Trigger, "gravcomp/tare").call_async(Trigger.Request())
+    person.harness.wait_for(lambda: person.step(LEFT) and tare.done(), 5.0, "the tare")
     told = person.wait_told(lambda m: m.tared, "the tare")
     np.testing.assert_allclose(
         [told.tare.force.x, told.tare.force.y, told.tare.torque.z], LEFT[[0, 1, 5]]
     )
-    person.call("enable", SetBool, data=False)
+    person.ask("enable", SetBool, data=False)
     person.wait_told(lambda m: not m.enabled, "the switch")
-    person.call("enable", SetBool, data=True)
+    person.ask("enable", SetBool, data=True)
     assert person.wait_told(lambda m: m.enabled, "the switch").tared
     person.harness.wait_for(
         lambda: np.allclose(person.output(), 0.0, atol=1e-9), 5.0, "the ramp's end"
@@ -241,15 +189,15 @@ def check_tare_and_switch(person: Person) -> None:
 def check_rename_active(person: Person, folder: Path) -> None:
     """It goes on under the new name: neither the load nor the tare changes, nothing steps."""
     before = person.output()
-    answer = person.call("rename_tool", RenameTool, tool="pointer", new_name="probe")
+    answer = person.ask("rename_tool", RenameTool, tool="pointer", new_name="probe")
     assert answer.success and answer.path == str(folder / "probe.json")
     told = person.wait_told(lambda m: m.tool == "probe", "the new name")
     assert told.tared and told.path == answer.path and told.file_state == told.FILE_AS_LOADED
     np.testing.assert_array_equal(person.output(), before)
-    active_tool = person.call("get_tool", GetTool)
+    active_tool = person.ask("get_tool", GetTool)
     assert active_tool.sha256 == told.sha256 and active_tool.content != ""
     assert not (folder / "pointer.json").exists()
-    assert person.call("remove_tool", RemoveTool, tool="probe").error_code == 4
+    assert person.ask("remove_tool", RemoveTool, tool="probe").error_code == 4
 
 
 def check_changed_file(person: Person, folder: Path) -> None:
@@ -261,16 +209,19 @@ def check_changed_file(person: Person, folder: Path) -> None:
     told = person.wait_told(lambda m: m.file_state == m.FILE_CHANGED, "the change")
     assert told.mass_kg == 0.06
     person.harness.wait_for(
-        lambda: person.step() or any("has changed since" in text for text in person.states),
+        lambda: (
+            person.step(LEFT)
+            and any("has changed since" in report.message for report in person.listener.reports)
+        ),
         5.0,
         "the warning",
     )
     # Renamed, what is active stays what was loaded, and so does the warning.
-    assert person.call("rename_tool", RenameTool, tool="probe", new_name="p2").success
+    assert person.ask("rename_tool", RenameTool, tool="probe", new_name="p2").success
     told = person.wait_told(lambda m: m.tool == "p2", "the new name")
     assert (told.mass_kg, told.file_state) == (0.06, told.FILE_CHANGED)
-    assert person.call("rename_tool", RenameTool, tool="p2", new_name="probe").success
-    assert person.call("set_tool", SetTool, tool="probe").success
+    assert person.ask("rename_tool", RenameTool, tool="p2", new_name="probe").success
+    assert person.ask("set_tool", SetTool, tool="probe").success
     told = person.wait_told(lambda m: m.file_state == m.FILE_AS_LOADED, "the file loaded")
     assert (told.mass_kg, told.tared) == (0.061, False)
     path.rename(folder / "elsewhere")
@@ -282,22 +233,22 @@ def check_changed_file(person: Person, folder: Path) -> None:
 def check_revert_active(person: Person, folder: Path) -> None:
     """The file is the one before; what is active doesn't change until it is loaded."""
     before = person.output()
-    compared = person.call("compare_tools", CompareTools, a_previous=True, b="probe")
+    compared = person.ask("compare_tools", CompareTools, a_previous=True, b="probe")
     assert compared.success and "'probe before' and 'probe'" in compared.text
     assert compared.differences[0].difference == pytest.approx(1e-3)
-    answer = person.call("revert_tool", RevertTool, tool="probe")
+    answer = person.ask("revert_tool", RevertTool, tool="probe")
     assert answer.success and answer.path == str(folder / "probe.json")
     told = person.wait_told(lambda m: m.file_state == m.FILE_CHANGED, "the change")
     assert (told.tool, told.mass_kg) == ("probe", 0.061)
     np.testing.assert_array_equal(person.output(), before)
-    compared = person.call("compare_tools", CompareTools, a="probe", b="probe", b_previous=True)
+    compared = person.ask("compare_tools", CompareTools, a="probe", b="probe", b_previous=True)
     assert compared.differences[0].difference == pytest.approx(1e-3)
     (folder / "probe.json.bak").rename(folder / "elsewhere")
     (folder / "probe.json.bak").write_text("{")
-    assert person.call("revert_tool", RevertTool, tool="probe").error_code == (
+    assert person.ask("revert_tool", RevertTool, tool="probe").error_code == (
         RevertTool.Response.INVALID_FILE
     )
     (folder / "elsewhere").replace(folder / "probe.json.bak")
     # Back again, it is what was loaded.
-    assert person.call("revert_tool", RevertTool, tool="probe").success
+    assert person.ask("revert_tool", RevertTool, tool="probe").success
     person.wait_told(lambda m: m.file_state == m.FILE_AS_LOADED, "the file as it was")
