@@ -8,11 +8,11 @@ import pytest
 from calibration_fake_arm import ADAPTER, NO_TOOL, POINTER
 from galen_calibration_behavior.calibration.estimate import (
     EstimateError,
-    TipError,
     choose_tip,
     estimate,
 )
 from galen_calibration_behavior.commands import CalibrationCode, Measurements
+from galen_model.errors import GalenError
 from galen_model.files.calibration_file import read_calibration, write_calibration
 from galen_model.load.identification import StillPoses
 from galen_model.load.inertia import InertiaEstimate
@@ -151,5 +151,5 @@ def test_the_tip_is_taken_kept_or_zero(tmp_path):
     tip, warnings = choose_tip(NAN, path)
     assert tip.tolist() == [0, 0, 0]
     assert "pointer.json" in warnings[0]
-    with pytest.raises(TipError, match="nan"):
+    with pytest.raises(GalenError, match="nan"):
         choose_tip(np.array([0.1, math.nan, 0.0]), path)

@@ -41,7 +41,3 @@ class IdentificationError(GalenError):
 
 class NotExcitedError(IdentificationError):
     """The poses don't identify what was asked; the message names what is missing."""
-
-
-class ImplausibleLoadError(IdentificationError):
-    """The readings name a load that can't be, such as a mass that isn't positive."""

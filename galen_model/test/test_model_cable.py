@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from galen_model.arm.galen import GALEN, SENSOR
-from galen_model.errors import CalibrationFileError, NotExcitedError
+from galen_model.errors import CalibrationFileError, IdentificationError, NotExcitedError
 from galen_model.files.calibration_file import (
     CalibrationFile,
     LoadEstimate,
@@ -21,7 +21,6 @@ from galen_model.load.cable import (
 )
 from galen_model.load.cable_learning import (
     CableSweep,
-    NoCableError,
     _Likelihood,
     fit_cable,
     learn_cable,
@@ -206,12 +205,12 @@ def test_poses_at_several_places_of_the_platform_are_covered():
 
 def test_where_there_is_no_cable_none_is_learned():
     joints = grid()
-    with pytest.raises(NoCableError, match="no pull beyond the noise"):
+    with pytest.raises(IdentificationError, match="no pull beyond the noise"):
         learn_cable(sweep_of(np.zeros((len(joints), 6)), joints), WHEN)
     load = gravity_wrench(GALEN.gravity_in_sensor(joints[:, 3:]), Load(0.004, AT))
-    with pytest.raises(NoCableError, match="another load explains it"):
+    with pytest.raises(IdentificationError, match="another load explains it"):
         learn_cable(sweep_of(load, joints), WHEN, forms=["point"])
-    with pytest.raises(NoCableError, match="does not tell of the others"):
+    with pytest.raises(IdentificationError, match="does not tell of the others"):
         learn_cable(sweep_of(np.zeros((len(joints), 6)), joints, scatter=1.0), WHEN, ["free"])
 
 

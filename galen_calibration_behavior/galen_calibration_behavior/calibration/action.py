@@ -21,7 +21,6 @@ from galen_calibration_behavior.calibration.estimate import (
     Calibration,
     EstimateError,
     MountingRequest,
-    TipError,
     calibration_fields,
     check_writable,
     choose_tip,
@@ -96,7 +95,7 @@ class CalibrateAction(ArmAction):
             path = calibration_path(Path(settings.tools_dir).expanduser(), request.tool)
             tip_m, warnings = choose_tip(np.array(request.tip_m, float), path)
             if warnings and settings.obstacles:
-                raise TipError(f"{warnings[0]}, so that it is not known what the tool would hit")
+                raise GalenError(f"{warnings[0]}, so that it is not known what the tool would hit")
             plan = settings.plan(
                 tip_m, one_sweep=request.one_sweep, tilts=request.iters_t, rolls=request.iters_r
             )

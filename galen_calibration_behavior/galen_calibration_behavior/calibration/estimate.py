@@ -51,10 +51,6 @@ class EstimateError(GalenError):
         self.code = code
 
 
-class TipError(GalenError):
-    """A tip that is neither three numbers that a tool may have nor left out."""
-
-
 @dataclass(frozen=True)
 class MountingRequest:
     """Groups of `galen_model.load.mounting.mounting` to estimate; what is known of the tool."""
@@ -98,14 +94,16 @@ def choose_tip(tip_m: Array, path: Path) -> tuple[Array, list[str]]:
     """Return the tip (3,) for the new file, m in ft_sensor, and warnings.
 
     `tip_m` itself or, where all of it is NaN, that of the old file at `path`, else (0, 0, 0).
-    Raises TipError for a tip with some values that are not finite, or that no tool reaches.
+    Raises GalenError for a tip with some values that are not finite, or that no tool reaches.
     """
     if np.all(np.isfinite(tip_m)):
         if np.max(np.abs(tip_m)) > LONGEST_TOOL_M:
-            raise TipError(f"tip_m is {tip_m.tolist()}: at most {LONGEST_TOOL_M:g} m along an axis")
+            raise GalenError(
+                f"tip_m is {tip_m.tolist()}: at most {LONGEST_TOOL_M:g} m along an axis"
+            )
         return tip_m, []
     if not np.all(np.isnan(tip_m)):
-        raise TipError(
+        raise GalenError(
             f"tip_m is {tip_m.tolist()}: three finite numbers, or all NaN to keep the old"
         )
     nowhere = np.zeros(3)

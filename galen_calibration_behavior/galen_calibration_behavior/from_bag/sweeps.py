@@ -18,6 +18,7 @@ from itertools import groupby
 import numpy as np
 from galen_model.arm.arm import Arm
 from galen_model.arrays import Array
+from galen_model.errors import IdentificationError
 from galen_model.load.identification import MIN_POSES, StillPoses
 from galen_model.rest.pose import PoseRecord, wrench_fault
 from galen_ros.goal.arrival import NS, PoseRejection
@@ -25,7 +26,7 @@ from numpy.typing import ArrayLike
 
 from galen_calibration_behavior.calibration.sweep import stack
 from galen_calibration_behavior.commands import Measurements
-from galen_calibration_behavior.from_bag.tool_border import Border, BorderError, find_border
+from galen_calibration_behavior.from_bag.tool_border import Border, find_border
 from galen_calibration_behavior.from_bag.visits import RecordingError, Visit, Visits
 from galen_calibration_behavior.parameters import CalibrationParameters
 
@@ -205,7 +206,7 @@ class SweepSorter:
         good = self._still(visits)
         try:
             border = self._border(visits, good)
-        except BorderError as error:
+        except IdentificationError as error:
             faults = "".join(f"; {text}" for text in [*self._faults(visits).values()][-1:])
             raise RecordingError(f"{recording.path}: {error}{faults}") from error
         if not border.changes:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_model.errors import GalenError
+from galen_model.errors import IdentificationError
 from galen_model.load.identification import MIN_POSES
 from galen_model.load.model import gravity_regressor
 
@@ -26,10 +26,6 @@ _RIDGE = 1e-10
 _CLEAR_SIGMAS = 10.0
 # One load for both parts, with offsets of their own, must be so many times worse than two.
 _CLEAR_RATIO = 3.0
-
-
-class BorderError(GalenError):
-    """The poses are too few to tell where a tool came on."""
 
 
 @dataclass(frozen=True)
@@ -65,11 +61,11 @@ def find_border(
 
     `left_out` (n,) marks poses that are left out next to the border (at home):
     borders with nothing but such poses between them are one and the same.
-    Raises BorderError for too few poses. How clear the border is, is for the caller to judge.
+    Raises IdentificationError for too few poses. How clear the border is, is for the caller to judge.
     """
     count = len(gravity)
     if count < 2 * MIN_POSES:
-        raise BorderError(
+        raise IdentificationError(
             f"{count} still poses are too few to find where the tool came on:"
             f" at least {MIN_POSES} without and {MIN_POSES} with it are needed"
         )

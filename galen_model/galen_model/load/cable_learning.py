@@ -228,10 +228,6 @@ less than the noise of one reading is not worth a cable: a joint's zero that is 
 drift, leaves as much."""
 
 
-class NoCableError(IdentificationError):
-    """The sweep shows no pull of a cable."""
-
-
 @dataclass(frozen=True)
 class CableScore:
     """Errors (n, 6) of predicted less measured wrenches of held-out poses, N and N.m.
@@ -323,7 +319,7 @@ def learn_cable(
 ) -> LearnedCable:
     """Learn the pull, choosing among `forms` by held-out blocks; `progress` wraps the work.
 
-    Raises NotExcitedError, or NoCableError where held-out poses don't show a cable.
+    Raises NotExcitedError, or IdentificationError where held-out poses don't show a cable.
     """
     _check_poses(sweep)
     block = pose_blocks(sweep.joints)
@@ -332,7 +328,7 @@ def learn_cable(
     least_squares = _scored(sweep, _linear_held_out(sweep, block))
     over_noise = float(np.max(file.rmse / sweep.noise))
     if file.chi < _NOISE or over_noise < 1.0:
-        raise NoCableError(
+        raise IdentificationError(
             f"no pull beyond the noise: the calibration file leaves {_newtons(file)},"
             f" {file.chi:.1f} times the noise of the averages and, in the worst axis,"
             f" {over_noise:.2g} times that of one reading"
@@ -391,13 +387,13 @@ def _check_worth(
     least_squares: CableScore,
 ) -> None:
     if not _clearly_better(sweep, block, best, file):
-        raise NoCableError(
+        raise IdentificationError(
             f"the calibration file leaves {_newtons(file)}, but what it leaves at some poses does"
             f" not tell of the others ({_newtons(best)} on poses held out): no cable's pull that"
             " repeats, or a sweep too sparse for it"
         )
     if not _clearly_better(sweep, block, best, least_squares):
-        raise NoCableError(
+        raise IdentificationError(
             f"another load explains it as well as a cable ({_newtons(least_squares)} and"
             f" {_newtons(best)} on poses held out): calibrate the tool without the cable first"
         )

@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike
 from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN, WRENCH_AXES
 from galen_model.arrays import Array
-from galen_model.errors import IdentificationError, ImplausibleLoadError, NotExcitedError
+from galen_model.errors import IdentificationError, NotExcitedError
 from galen_model.files.calibration_file import LoadEstimate
 from galen_model.load.identifiability import LOAD_PARAMETERS, check_excitation
 from galen_model.load.model import gravity_regressor
@@ -137,8 +137,8 @@ def identify_two_sweeps(
 ) -> Identification:
     """Tool and adapter from a sweep without the tool and one with it.
 
-    Raises NotExcitedError naming what the poses don't tell, ImplausibleLoadError for a mass that is
-    not positive, IdentificationError for too few poses or too many that fit no load.
+    Raises NotExcitedError naming what the poses don't tell, IdentificationError for a mass that is
+    not positive, too few poses or too many that fit no load.
     """
     check_count(bare, "sweep without the tool")
     check_count(tool, "sweep with the tool")
@@ -162,7 +162,7 @@ def two_sweeps_result(fit: RobustFit, bare: StillPoses, tool: StillPoses) -> Ide
 
     Its values: see `two_sweeps_design`, any others last.
 
-    Raises ImplausibleLoadError.
+    Raises IdentificationError.
     """
     used_bare, used_tool = fit.used[: len(bare)], fit.used[len(bare) :]
     change = fit.values[14:20] - fit.values[8:14]
@@ -227,7 +227,7 @@ def identify_one_sweep(tool: StillPoses, zero_angles: ArrayLike | None = None) -
 def one_sweep_result(fit: RobustFit, tool: StillPoses, gravity_zero: Array) -> Identification:
     """Return what a fit to one sweep found; its values: see `identify_one_sweep`, any others last.
 
-    gravity_zero: (3,) in ft_sensor where the sensor was zeroed, m/s^2. Raises ImplausibleLoadError.
+    gravity_zero: (3,) in ft_sensor where the sensor was zeroed, m/s^2. Raises IdentificationError.
     """
     along = gravity_zero / np.linalg.norm(gravity_zero)
     total = along @ (fit.values[1:4] + fit.values[5:8])
@@ -396,17 +396,17 @@ def check_rejections(fit: RobustFit) -> None:
 def load_estimate(fit: RobustFit, columns: slice, name: str) -> LoadEstimate:
     """Mass and centre from the moments; covariance by p = h / m, dp = (dh - p dm) / m.
 
-    Raises ImplausibleLoadError calling the load `name`.
+    Raises IdentificationError calling the load `name`.
     """
     moments, covariance = fit.values[columns], fit.covariance[columns, columns]
     mass, std = float(moments[0]), float(np.sqrt(covariance[0, 0]))
     if mass <= 0.0:
-        raise ImplausibleLoadError(
+        raise IdentificationError(
             f"{name} would weigh {mass * 1e3:.3f} g (standard deviation {std * 1e3:.3f} g): a mass "
             "is positive. Is it mounted? Does a push read positive in the direction of the push?"
         )
     if mass < 3.0 * std:
-        raise ImplausibleLoadError(
+        raise IdentificationError(
             f"{name} weighs {mass * 1e3:.3f} g with a standard deviation of {std * 1e3:.3f} g, "
             "which is not distinguishable from none. Is it mounted?"
         )
