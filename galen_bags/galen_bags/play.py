@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from galen_model.errors import GalenError
 from galen_ros.command import (
-    EXIT_FAILED,
     EXIT_OK,
     EXIT_SIGNAL,
     ProgressLine,
@@ -20,6 +17,8 @@ from galen_ros.command import (
     not_negative,
     own_arguments,
     positive,
+    print_json,
+    run_command,
 )
 from galen_ros.node.spin import run_until
 
@@ -138,20 +137,22 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     return parser.parse_args(arguments)
 
 
-def main() -> None:
-    """Run the command; see `play --help`."""
+def main() -> int:
+    """Run the command; return the exit code. See `play --help`."""
     options = parse(own_arguments(sys.argv[1:]))
-    try:
+
+    def work() -> int:
         with open_bag(options.bag) as bag:
             replay = Replay(options, bag)
             number = replay.run()
-            result = replay.result(number)
-            print(json.dumps(result) if options.json else replay.summary(number))
-    except GalenError as error:
-        print(f"error: {error}", file=sys.stderr)
-        raise SystemExit(EXIT_FAILED) from None
-    raise SystemExit(EXIT_OK if number is None else EXIT_SIGNAL + number)
+            if options.json:
+                print_json(replay.result(number))
+            else:
+                print(replay.summary(number))
+        return EXIT_OK if number is None else EXIT_SIGNAL + number
+
+    return run_command("play", work)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from collections.abc import Sequence
@@ -11,15 +10,15 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from galen_model.errors import GalenError
 from galen_ros.command import (
-    EXIT_FAILED,
     EXIT_OK,
     ProgressLine,
     add_json,
     make_parser,
     own_arguments,
     positive,
+    print_json,
+    run_command,
 )
 from galen_ros.node.spin import run_until
 from rclpy.executors import SingleThreadedExecutor
@@ -162,23 +161,25 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     return options
 
 
-def main() -> None:
-    """Run the command; see `record --help`."""
+def main() -> int:
+    """Run the command; return the exit code. See `record --help`."""
     options = parse(own_arguments(sys.argv[1:]))
-    exit_code = EXIT_OK
-    recording = None
-    try:
+
+    def work() -> int:
         recording = Recording(options)
         if not options.json:
             print(f"recording to {options.output}; Ctrl-C ends it", file=sys.stderr, flush=True)
-        recording.run()
-    except GalenError as error:
-        print(f"error: {error}", file=sys.stderr)
-        exit_code = EXIT_FAILED
-    if recording is not None and recording.node is not None:
-        print(json.dumps(recording.result()) if options.json else recording.summary())
-    raise SystemExit(exit_code)
+        try:
+            recording.run()
+        finally:
+            if recording.node is not None and options.json:
+                print_json(recording.result())
+            elif recording.node is not None:
+                print(recording.summary())
+        return EXIT_OK
+
+    return run_command("record", work)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -415,13 +415,13 @@ def test_a_full_disk_ends_it_with_one_line(started: Any, tmp_path: Path) -> None
     program = (
         "import resource, sys; from galen_bags.record import main;"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, 30_000));"
-        f"sys.argv = ['record', 'wrench_raw', '-o', {str(tmp_path / 'bag')!r}]; main()"
+        f"sys.argv = ['record', 'wrench_raw', '-o', {str(tmp_path / 'bag')!r}]; sys.exit(main())"
     )
     started("-c", SOURCE)
     recorder = started("-c", program)
     out, err = recorder.communicate(timeout=60.0)
     assert recorder.returncode == 1
-    (line,) = [text for text in err.splitlines() if text.startswith("error:")]
+    (line,) = [text for text in err.splitlines() if text.startswith("record:")]
     assert "bag: can't be written any more: File too large" in line
     assert "Traceback" not in err
     assert "/wrench_raw" in out
