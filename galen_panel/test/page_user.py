@@ -1,6 +1,8 @@
 """One browser's page without a browser: NiceGUI's own simulation of a user, on the fake suite."""
 
 import asyncio
+import functools
+import inspect
 import logging
 import re
 import tempfile
@@ -8,6 +10,7 @@ import time
 from contextlib import contextmanager
 from pathlib import Path
 
+from fake_suite import FakeSuite
 from galen_panel.page import behaviours, tools
 from galen_panel.page.layout import build_compensation, build_lamp, build_running
 from galen_panel.page.page import Page
@@ -35,6 +38,24 @@ def on_page(suite, story, build=_operate):
     with _own_storage():
         asyncio.run(_tell(suite, story, errors, build))
     assert not errors.texts, "\n".join(errors.texts)
+
+
+def page_test(story=None, **changes):
+    """Make a test of a coroutine function `story(user, suite, ...)`, on a page of a FakeSuite.
+
+    changes: of the suite's state, before the page is drawn.
+    """
+    if story is None:
+        return functools.partial(page_test, **changes)
+
+    @functools.wraps(story)
+    def test(**arguments):
+        suite = FakeSuite()
+        suite.put(**changes)
+        on_page(suite, lambda user: story(user, suite, **arguments))
+
+    test.__signature__ = inspect.Signature(list(inspect.signature(story).parameters.values())[2:])
+    return test
 
 
 @contextmanager
@@ -127,10 +148,6 @@ class PageUser:
 
     async def come_back(self):
         await self._user.client.handle_handshake("again", self._user.tab_id, None, "again", None)
-
-    def go(self):
-        """Close the browser."""
-        self._user.client.delete()
 
     def notices(self):
         """What was told so far."""

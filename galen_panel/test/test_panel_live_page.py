@@ -2,6 +2,8 @@
 
 import asyncio
 import csv
+import functools
+import inspect
 import io
 import json
 
@@ -44,143 +46,137 @@ class Shown:
         return True
 
 
-def on_live(story, seconds=30.0):
-    suite = FakeSuite()
-    if seconds:
-        suite.stream(START_S, seconds)
-    shown = Shown(suite)
+def live_test(story):
+    """Make a test of a coroutine function `story(user, shown)`, on a live page with 30 s."""
 
-    async def whole(user):
-        shown.listen(user)
-        await story(user, shown)
+    @functools.wraps(story)
+    def test():
+        suite = FakeSuite()
+        suite.stream(START_S, 30.0)
+        shown = Shown(suite)
 
-    on_page(suite, whole, shown.build)
+        async def whole(user):
+            shown.listen(user)
+            await story(user, shown)
 
+        on_page(suite, whole, shown.build)
 
-def test_streams_are_listened_to_only_while_somebody_looks():
-    async def story(user, shown):
-        await user.until(lambda: shown.suite.watching == 1)
-        shown.tab = False
-        await user.until(lambda: shown.suite.watching == 0)
-        shown.tab = True
-        await user.until(lambda: shown.suite.watching == 1)
-        user.vanish()
-        assert shown.suite.watching == 0
-        await asyncio.sleep(0.5)
-        assert shown.suite.watching == 0, "a browser that is gone must not listen again"
-        await user.come_back()
-        await user.until(lambda: shown.suite.watching == 1)
-
-    on_live(story)
+    test.__signature__ = inspect.Signature()
+    return test
 
 
-def test_the_window_is_sent_where_something_is_new_and_again_where_it_did_not_arrive():
-    async def story(user, shown):
-        await user.until(lambda: shown.shown)
-        assert shown.spans == [30.0]
-        assert [len(rows[0]) for rows in shown.shown[0]] == [7, 7, 5]
-        assert all(500 < len(rows) <= 602 for rows in shown.shown[0])
-        assert all(-30.0 <= rows[0][0] < -29.8 for rows in shown.shown[0])
-        await asyncio.sleep(0.6)
-        assert len(shown.shown) == 1, "nothing new, nothing sent"
-        shown.arrives = False
-        shown.suite.stream(START_S + 30.0, 0.2)
-        await user.until(lambda: len(shown.shown) > 3)
-        shown.arrives = True
-        await asyncio.sleep(0.5)
-        count = len(shown.shown)
-        await asyncio.sleep(0.5)
-        assert len(shown.shown) == count
-        user.enter("window", 10)
-        await user.until(lambda: shown.spans[-1] == 10.0)
-        assert min(row[0] for row in shown.shown[-1][0]) >= -10.001
-        user.enter("window", 77)
-        await asyncio.sleep(0.4)
-        assert shown.spans[-1] == 10.0
-
-    on_live(story)
+@live_test
+async def test_streams_are_listened_to_only_while_somebody_looks(user, shown):
+    await user.until(lambda: shown.suite.watching == 1)
+    shown.tab = False
+    await user.until(lambda: shown.suite.watching == 0)
+    shown.tab = True
+    await user.until(lambda: shown.suite.watching == 1)
+    user.vanish()
+    assert shown.suite.watching == 0
+    await asyncio.sleep(0.5)
+    assert shown.suite.watching == 0, "a browser that is gone must not listen again"
+    await user.come_back()
+    await user.until(lambda: shown.suite.watching == 1)
 
 
-def test_numbers_are_the_signed_mean_of_the_last_two_seconds():
-    async def story(user, shown):
-        history = shown.suite.history
-        end_s = START_S + 30.0
-        stamps = ((end_s + np.arange(1, 1500) / 500.0) * 1e9).astype(np.int64)
-        pushed = np.tile([-8.0, 0.5, 0.0, 0.0, 0.0, -0.25], (len(stamps), 1))
-        history.compensated.append(stamps, pushed)
-        history.raw.append(stamps, pushed + [1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-        history.deflection.append(
-            stamps, np.tile([-3e-4, 0.0, 4e-4, 0.0, 0.0, 0.0], (len(stamps), 1))
+@live_test
+async def test_the_window_is_sent_where_something_is_new_and_again_where_it_did_not_arrive(
+    user, shown
+):
+    await user.until(lambda: shown.shown)
+    assert shown.spans == [30.0]
+    assert [len(rows[0]) for rows in shown.shown[0]] == [7, 7, 5]
+    assert all(500 < len(rows) <= 602 for rows in shown.shown[0])
+    assert all(-30.0 <= rows[0][0] < -29.8 for rows in shown.shown[0])
+    await asyncio.sleep(0.6)
+    assert len(shown.shown) == 1, "nothing new, nothing sent"
+    shown.arrives = False
+    shown.suite.stream(START_S + 30.0, 0.2)
+    await user.until(lambda: len(shown.shown) > 3)
+    shown.arrives = True
+    await asyncio.sleep(0.5)
+    count = len(shown.shown)
+    await asyncio.sleep(0.5)
+    assert len(shown.shown) == count
+    user.enter("window", 10)
+    await user.until(lambda: shown.spans[-1] == 10.0)
+    assert min(row[0] for row in shown.shown[-1][0]) >= -10.001
+    user.enter("window", 77)
+    await asyncio.sleep(0.4)
+    assert shown.spans[-1] == 10.0
+
+
+@live_test
+async def test_numbers_are_the_signed_mean_of_the_last_two_seconds(user, shown):
+    history = shown.suite.history
+    end_s = START_S + 30.0
+    stamps = ((end_s + np.arange(1, 1500) / 500.0) * 1e9).astype(np.int64)
+    pushed = np.tile([-8.0, 0.5, 0.0, 0.0, 0.0, -0.25], (len(stamps), 1))
+    history.compensated.append(stamps, pushed)
+    history.raw.append(stamps, pushed + [1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    history.deflection.append(stamps, np.tile([-3e-4, 0.0, 4e-4, 0.0, 0.0, 0.0], (len(stamps), 1)))
+    await user.until(lambda: user.text("mean-fx") == "-8.000")
+    assert user.text("mean-raw-fx") == "raw -7.000"
+    assert user.text("mean-fy") == "0.500"
+    assert user.text("mean-fz") == "0.000"
+    assert user.text("mean-tz") == "-250.0"
+    assert user.text("mean-tip") == "0.500"
+
+
+@live_test
+async def test_csv_has_every_sample_of_the_window(user, shown):
+    await user.until(lambda: shown.shown)
+    user.enter("window", 10)
+    user.click("csv")
+    await user.until(lambda: user.downloads())
+    rows = list(csv.DictReader(io.StringIO(user.downloads()[0].decode())))
+    assert len(rows) == 5001
+    assert float(rows[-1]["stamp_s"]) - float(rows[0]["stamp_s"]) == 10.0
+    newest = shown.suite.history.compensated.last(0.0).values[0]
+    np.testing.assert_allclose(float(rows[-1]["compensated_tz_nm"]), newest[5], rtol=1e-6)
+    assert sum(bool(row["deflection_x_m"]) for row in rows) == 1000
+
+
+@live_test
+async def test_pause_holds_the_picture_through_another_window(user, shown):
+    await user.until(lambda: shown.shown)
+    user.click("pause")
+    assert user.get("pause").props["aria-pressed"] == "true"
+    shown.suite.stream(START_S + 30.0, 0.5)
+    user.enter("window", 60)
+    await user.until(lambda: shown.spans[-1] == 60.0)
+    held = shown.shown[-1][0]
+    assert held[-1][0] - held[0][0] < 30.001, "what came after the pause is not shown"
+    user.click("pause")
+    await user.until(lambda: shown.shown[-1][0][0][0] < -30.2)
+    assert user.get("pause").props["aria-pressed"] == "false"
+
+
+@live_test
+async def test_the_arm_is_placed_bent_and_told_in_numbers(user, shown):
+    user.trigger("arm", "init")
+    await user.until(lambda: shown.placements)
+    joints = shown.suite.history.joints.last(0.0).values[0]
+    await user.until(lambda: user.text("arm-roll") != "–")
+    assert user.text("arm-delta_z") == f"{1e3 * joints[2]:.1f} mm"
+    assert user.text("arm-roll") == f"{np.degrees(joints[3]):.2f}°"
+    assert " mm (" in user.text("arm-deflection")
+    assert user.text("factor") == "Bend × 100"
+
+    def moved():
+        straight, bent = (
+            np.array(shown.placements[-1][f"{arm}/6"][:3]) for arm in ("straight", "bent")
         )
-        await user.until(lambda: user.text("mean-fx") == "-8.000")
-        assert user.text("mean-raw-fx") == "raw -7.000"
-        assert user.text("mean-fy") == "0.500"
-        assert user.text("mean-fz") == "0.000"
-        assert user.text("mean-tz") == "-250.0"
-        assert user.text("mean-tip") == "0.500"
+        return np.linalg.norm(bent - straight)
 
-    on_live(story)
-
-
-def test_csv_has_every_sample_of_the_window():
-    async def story(user, shown):
-        await user.until(lambda: shown.shown)
-        user.enter("window", 10)
-        user.click("csv")
-        await user.until(lambda: user.downloads())
-        rows = list(csv.DictReader(io.StringIO(user.downloads()[0].decode())))
-        assert len(rows) == 5001
-        assert float(rows[-1]["stamp_s"]) - float(rows[0]["stamp_s"]) == 10.0
-        newest = shown.suite.history.compensated.last(0.0).values[0]
-        np.testing.assert_allclose(float(rows[-1]["compensated_tz_nm"]), newest[5], rtol=1e-6)
-        assert sum(bool(row["deflection_x_m"]) for row in rows) == 1000
-
-    on_live(story)
-
-
-def test_pause_holds_the_picture_through_another_window():
-    async def story(user, shown):
-        await user.until(lambda: shown.shown)
-        user.click("pause")
-        assert user.get("pause").props["aria-pressed"] == "true"
-        shown.suite.stream(START_S + 30.0, 0.5)
-        user.enter("window", 60)
-        await user.until(lambda: shown.spans[-1] == 60.0)
-        held = shown.shown[-1][0]
-        assert held[-1][0] - held[0][0] < 30.001, "what came after the pause is not shown"
-        user.click("pause")
-        await user.until(lambda: shown.shown[-1][0][0][0] < -30.2)
-        assert user.get("pause").props["aria-pressed"] == "false"
-
-    on_live(story)
-
-
-def test_the_arm_is_placed_bent_and_told_in_numbers():
-    async def story(user, shown):
-        user.trigger("arm", "init")
-        await user.until(lambda: shown.placements)
-        joints = shown.suite.history.joints.last(0.0).values[0]
-        await user.until(lambda: user.text("arm-roll") != "–")
-        assert user.text("arm-delta_z") == f"{1e3 * joints[2]:.1f} mm"
-        assert user.text("arm-roll") == f"{np.degrees(joints[3]):.2f}°"
-        assert " mm (" in user.text("arm-deflection")
-        assert user.text("factor") == "Bend × 100"
-
-        def moved():
-            straight, bent = (
-                np.array(shown.placements[-1][f"{arm}/6"][:3]) for arm in ("straight", "bent")
-            )
-            return np.linalg.norm(bent - straight)
-
-        before, count = moved(), len(shown.placements)
-        user.enter("exaggeration", 200)
-        assert user.text("factor") == "Bend × 200"
-        await user.until(lambda: len(shown.placements) > count)
-        assert moved() > 1.5 * before
-        user.enter("exaggeration", 1e9)
-        assert user.text("factor") == "Bend × 200"
-
-    on_live(story)
+    before, count = moved(), len(shown.placements)
+    user.enter("exaggeration", 200)
+    assert user.text("factor") == "Bend × 200"
+    await user.until(lambda: len(shown.placements) > count)
+    assert moved() > 1.5 * before
+    user.enter("exaggeration", 1e9)
+    assert user.text("factor") == "Bend × 200"
 
 
 # Pictures of the arm, and what is missing, without a page

@@ -13,7 +13,7 @@ from galen_panel.snapshot import (
     Goal,
 )
 from nicegui import ui
-from page_user import on_page
+from page_user import on_page, page_test
 
 VALUES = {
     "mass_kg": 0.2, "mass_std_kg": 3e-5, "com_m": [0.07, -0.01, 0.055],
@@ -61,142 +61,112 @@ def dialog_text(user):
     return "\n".join(getattr(element, "text", "") for element in card.descendants())
 
 
-def test_the_arm_is_not_moved_at_one_click():
-    suite = FakeSuite()
-
-    async def story(user):
-        user.click("calibrate")
-        await user.until(lambda: user.all("dialog-ok"))
-        text = dialog_text(user)
-        assert "Calibrate pointer?" in text
-        assert "about 3 min" in text, "two sweeps of 102 s, as the node says"
-        assert "area around the arm" in text
-        assert "removed and put on" not in text
-        user.click("dialog-cancel")
-        await user.until(lambda: not user.all("dialog-ok"))
-        assert suite.calls == []
-        user.enter("calibrate-one-sweep", True)
-        user.enter("calibrate-by-hand", True)
-        user.click("calibrate")
-        await user.until(lambda: user.all("dialog-ok"))
-        assert "about 2 min" in dialog_text(user)
-        assert "removed and put on" in dialog_text(user)
-
-    on_page(suite, story)
+@page_test
+async def test_the_arm_is_not_moved_at_one_click(user, suite):
+    user.click("calibrate")
+    await user.until(lambda: user.all("dialog-ok"))
+    text = dialog_text(user)
+    assert "Calibrate pointer?" in text
+    assert "about 3 min" in text, "two sweeps of 102 s, as the node says"
+    assert "area around the arm" in text
+    assert "removed and put on" not in text
+    user.click("dialog-cancel")
+    await user.until(lambda: not user.all("dialog-ok"))
+    assert suite.calls == []
+    user.enter("calibrate-one-sweep", True)
+    user.enter("calibrate-by-hand", True)
+    user.click("calibrate")
+    await user.until(lambda: user.all("dialog-ok"))
+    assert "about 2 min" in dialog_text(user)
+    assert "removed and put on" in dialog_text(user)
 
 
-def test_what_began_while_the_question_was_open_is_told():
-    suite = FakeSuite()
-
-    async def story(user):
-        user.click("calibrate")
-        await user.until(lambda: user.all("dialog-ok"))
-        suite.put(behaviours={BehaviourKind.CHECK: replace(CHECKED, done=2)})
-        await user.until(lambda: user.all("running"))
-        user.click("dialog-ok")
-        await user.until(lambda: user.notices())
-        assert "Quick check of pointer is under way" in user.notices()[0]
-        assert suite.calls == []
-
-    on_page(suite, story)
+@page_test
+async def test_what_began_while_the_question_was_open_is_told(user, suite):
+    user.click("calibrate")
+    await user.until(lambda: user.all("dialog-ok"))
+    suite.put(behaviours={BehaviourKind.CHECK: replace(CHECKED, done=2)})
+    await user.until(lambda: user.all("running"))
+    user.click("dialog-ok")
+    await user.until(lambda: user.notices())
+    assert "Quick check of pointer is under way" in user.notices()[0]
+    assert suite.calls == []
 
 
-def test_each_is_started_with_what_was_chosen():
-    suite = FakeSuite()
-
-    async def story(user):
-        await calibrate(user)
-        await user.until(
-            lambda: suite.calls == [("start", Goal(BehaviourKind.CALIBRATE, "pointer"))]
-        )
-        user.enter("calibrate-tool", "retractor")
-        user.enter("calibrate-one-sweep", True)
-        user.enter("calibrate-by-hand", True)
-        await calibrate(user)
-        goal = Goal(BehaviourKind.CALIBRATE, "retractor", one_sweep=True, by_hand=True)
-        await user.until(lambda: suite.calls[1:] == [("start", goal)])
-        user.click("check")
-        await user.until(lambda: suite.calls[2:] == [("start", Goal(BehaviourKind.CHECK, ""))])
-        user.click("collect")
-        await user.until(lambda: user.get("collect-name").error)
-        assert "maxlength" not in user.get("collect-name").props
-        user.enter("collect-name", "x" * 300)
-        user.click("collect")
-        await user.until(lambda: "xxx" in (user.get("collect-name").error or ""))
-        user.enter("collect-name", "monday")
-        user.click("collect")
-        goal = Goal(BehaviourKind.COLLECT, "pointer", name="monday", by_hand=True)
-        await user.until(lambda: suite.calls[3:] == [("start", goal)])
-
-    on_page(suite, story)
+@page_test
+async def test_each_is_started_with_what_was_chosen(user, suite):
+    await calibrate(user)
+    await user.until(lambda: suite.calls == [("start", Goal(BehaviourKind.CALIBRATE, "pointer"))])
+    user.enter("calibrate-tool", "retractor")
+    user.enter("calibrate-one-sweep", True)
+    user.enter("calibrate-by-hand", True)
+    await calibrate(user)
+    goal = Goal(BehaviourKind.CALIBRATE, "retractor", one_sweep=True, by_hand=True)
+    await user.until(lambda: suite.calls[1:] == [("start", goal)])
+    user.click("check")
+    await user.until(lambda: suite.calls[2:] == [("start", Goal(BehaviourKind.CHECK, ""))])
+    user.click("collect")
+    await user.until(lambda: user.get("collect-name").error)
+    assert "maxlength" not in user.get("collect-name").props
+    user.enter("collect-name", "x" * 300)
+    user.click("collect")
+    await user.until(lambda: "xxx" in (user.get("collect-name").error or ""))
+    user.enter("collect-name", "monday")
+    user.click("collect")
+    goal = Goal(BehaviourKind.COLLECT, "pointer", name="monday", by_hand=True)
+    await user.until(lambda: suite.calls[3:] == [("start", goal)])
 
 
-def test_a_node_that_is_absent_is_named_where_its_button_is():
-    suite = FakeSuite()
-    suite.put(available=ALL - {"check_tool"})
-
-    async def story(user):
-        assert not user.get("check").enabled
-        assert "ros2 run galen_calibration_behavior calibration_node" in user.text("card-check")
-        assert user.get("calibrate").enabled
-        suite.put(available=ALL)
-        await user.until(lambda: user.get("check").enabled)
-
-    on_page(suite, story)
+@page_test(available=ALL - {"check_tool"})
+async def test_a_node_that_is_absent_is_named_where_its_button_is(user, suite):
+    assert not user.get("check").enabled
+    assert "ros2 run galen_calibration_behavior calibration_node" in user.text("card-check")
+    assert user.get("calibrate").enabled
+    suite.put(available=ALL)
+    await user.until(lambda: user.get("check").enabled)
 
 
-def test_progress_is_followed_and_cancel_is_there():
-    suite = FakeSuite()
-
-    async def story(user):
-        assert user.all("cancel") == []
-        others = replace(CALIBRATING, ours=False)
-        suite.put(behaviours={BehaviourKind.CALIBRATE: others})
-        await user.until(lambda: user.all("cancel"))
-        title = "Calibration of retractor (started elsewhere): sweep with tool"
-        assert title in user.text("running")
-        assert user.text("count") == "12 of 112 poses"
-        assert user.all("calibrate") == [], "it can't be started twice"
-        assert not user.get("check").enabled
-        assert "Calibration of retractor is under way" in user.text("card-check")
-        strip = user.get("running")
-        suite.put(behaviours={BehaviourKind.CALIBRATE: replace(CALIBRATING, done=56)})
-        await user.until(lambda: user.get("progress").value == pytest.approx(0.5))
-        assert user.get("running") is strip, "another one would lose the focus"
-        user.click("cancel")
-        await user.until(lambda: suite.calls == [("cancel", BehaviourKind.CALIBRATE)])
-        suite.put(behaviours={BehaviourKind.CALIBRATE: replace(CALIBRATING, canceling=True)})
-        await user.until(lambda: user.text("cancel") == "Canceling")
-        ended = replace(
-            CALIBRATING, outcome=BehaviourOutcome("CANCELED", "it was canceled", "retractor")
-        )
-        suite.put(behaviours={BehaviourKind.CALIBRATE: ended})
-        await user.until(lambda: user.all("outcome"))
-        assert user.all("running") == []
-        assert "Canceled · retractor" in user.text("outcome")
-        assert user.all("keep") == []
-        assert user.get("calibrate").enabled
-
-    on_page(suite, story)
+@page_test
+async def test_progress_is_followed_and_cancel_is_there(user, suite):
+    assert user.all("cancel") == []
+    others = replace(CALIBRATING, ours=False)
+    suite.put(behaviours={BehaviourKind.CALIBRATE: others})
+    await user.until(lambda: user.all("cancel"))
+    title = "Calibration of retractor (started elsewhere): sweep with tool"
+    assert title in user.text("running")
+    assert user.text("count") == "12 of 112 poses"
+    assert user.all("calibrate") == [], "it can't be started twice"
+    assert not user.get("check").enabled
+    assert "Calibration of retractor is under way" in user.text("card-check")
+    strip = user.get("running")
+    suite.put(behaviours={BehaviourKind.CALIBRATE: replace(CALIBRATING, done=56)})
+    await user.until(lambda: user.get("progress").value == pytest.approx(0.5))
+    assert user.get("running") is strip, "another one would lose the focus"
+    user.click("cancel")
+    await user.until(lambda: suite.calls == [("cancel", BehaviourKind.CALIBRATE)])
+    suite.put(behaviours={BehaviourKind.CALIBRATE: replace(CALIBRATING, canceling=True)})
+    await user.until(lambda: user.text("cancel") == "Canceling")
+    ended = replace(
+        CALIBRATING, outcome=BehaviourOutcome("CANCELED", "it was canceled", "retractor")
+    )
+    suite.put(behaviours={BehaviourKind.CALIBRATE: ended})
+    await user.until(lambda: user.all("outcome"))
+    assert user.all("running") == []
+    assert "Canceled · retractor" in user.text("outcome")
+    assert user.all("keep") == []
+    assert user.get("calibrate").enabled
 
 
-def test_a_person_is_asked_and_answers():
-    suite = FakeSuite()
-    suite.put(behaviours={BehaviourKind.CALIBRATE: replace(CALIBRATING, asked=Asked.REMOVE_TOOL)})
-
-    async def story(user):
-        assert user.text("asked") == "Take the tool off, then press."
-        user.click("confirm")
-        await user.until(lambda: suite.calls == [("confirm",)])
-        suite.put(
-            behaviours={BehaviourKind.CALIBRATE: replace(CALIBRATING, asked=Asked.ATTACH_TOOL)}
-        )
-        await user.until(lambda: user.text("asked") == "Put retractor on, then press.")
-        assert user.text("confirm") == "The tool is on"
-        suite.put(behaviours={BehaviourKind.CALIBRATE: CALIBRATING})
-        await user.until(lambda: not user.all("confirm"))
-
-    on_page(suite, story)
+@page_test(behaviours={BehaviourKind.CALIBRATE: replace(CALIBRATING, asked=Asked.REMOVE_TOOL)})
+async def test_a_person_is_asked_and_answers(user, suite):
+    assert user.text("asked") == "Take the tool off, then press."
+    user.click("confirm")
+    await user.until(lambda: suite.calls == [("confirm",)])
+    suite.put(behaviours={BehaviourKind.CALIBRATE: replace(CALIBRATING, asked=Asked.ATTACH_TOOL)})
+    await user.until(lambda: user.text("asked") == "Put retractor on, then press.")
+    assert user.text("confirm") == "The tool is on"
+    suite.put(behaviours={BehaviourKind.CALIBRATE: CALIBRATING})
+    await user.until(lambda: not user.all("confirm"))
 
 
 def test_poses_that_were_not_still_are_told_while_it_runs():
@@ -213,23 +183,18 @@ def test_poses_that_were_not_still_are_told_while_it_runs():
     on_page(suite, story)
 
 
-def test_a_calibration_is_shown_beside_the_old_one_and_kept():
-    suite = FakeSuite()
-    suite.put(behaviours={BehaviourKind.CALIBRATE: CALIBRATED})
-
-    async def story(user):
-        await user.until(lambda: ("compare", "retractor") in suite.calls)
-        await user.until(lambda: "+0.10 g" in user.text("beside"))
-        assert "Residual of the averaged readings: 2.4 mN, 0.052 mN·m." in user.text("outcome")
-        assert "1 not used" in _headers(user)
-        user.click("keep")
-        await user.until(lambda: ("activate", "retractor") in suite.calls)
-        active_tool = replace(ACTIVE, tool="retractor", mass_kg=0.2, com_m=(0.07, -0.01, 0.055))
-        suite.put(active_tool=active_tool)
-        await user.until(lambda: user.text("fate") == "The new file is active.")
-        assert not user.get("keep").enabled
-
-    on_page(suite, story)
+@page_test(behaviours={BehaviourKind.CALIBRATE: CALIBRATED})
+async def test_a_calibration_is_shown_beside_the_old_one_and_kept(user, suite):
+    await user.until(lambda: ("compare", "retractor") in suite.calls)
+    await user.until(lambda: "+0.10 g" in user.text("beside"))
+    assert "Residual of the averaged readings: 2.4 mN, 0.052 mN·m." in user.text("outcome")
+    assert "1 not used" in _headers(user)
+    user.click("keep")
+    await user.until(lambda: ("activate", "retractor") in suite.calls)
+    active_tool = replace(ACTIVE, tool="retractor", mass_kg=0.2, com_m=(0.07, -0.01, 0.055))
+    suite.put(active_tool=active_tool)
+    await user.until(lambda: user.text("fate") == "The new file is active.")
+    assert not user.get("keep").enabled
 
 
 def test_of_a_new_tool_all_that_was_found_is_shown():

@@ -6,39 +6,31 @@ from dataclasses import replace
 import pytest
 from fake_suite import ACTIVE, ALL, COMPENSATING, FakeSuite
 from galen_panel.snapshot import NodeLevel
-from page_user import on_page
+from page_user import on_page, page_test
 
 
-def test_it_shows_what_gravcomp_says():
-    suite = FakeSuite()
-
-    async def story(user):
-        assert "pointer" in user.text("active")
-        assert "60.10 g" in user.text("active")
-        assert user.text("enable") == "Compensation on"
-        suite.put(active_tool=replace(ACTIVE, tool="", mass_kg=0.0, enabled=False))
-        await user.until(lambda: "no tool" in user.text("active"))
-        assert user.text("enable") == "Compensation off"
-        assert user.get("enable").props["aria-checked"] == "false"
-        suite.put(active_tool=replace(ACTIVE, file_state="changed"))
-        await user.until(lambda: "has changed" in user.text("active"))
-
-    on_page(suite, story)
+@page_test
+async def test_it_shows_what_gravcomp_says(user, suite):
+    assert "pointer" in user.text("active")
+    assert "60.10 g" in user.text("active")
+    assert user.text("enable") == "Compensation on"
+    suite.put(active_tool=replace(ACTIVE, tool="", mass_kg=0.0, enabled=False))
+    await user.until(lambda: "no tool" in user.text("active"))
+    assert user.text("enable") == "Compensation off"
+    assert user.get("enable").props["aria-checked"] == "false"
+    suite.put(active_tool=replace(ACTIVE, file_state="changed"))
+    await user.until(lambda: "has changed" in user.text("active"))
 
 
-def test_the_switch_asks_for_the_other_state_and_waits_for_gravcomp():
-    suite = FakeSuite()
-
-    async def story(user):
-        user.click("enable")
-        await user.until(lambda: suite.calls == [("set_enabled", False)])
-        assert user.text("enable") == "Compensation on", "clicked is not yet switched"
-        suite.put(active_tool=replace(ACTIVE, enabled=False))
-        await user.until(lambda: user.text("enable") == "Compensation off")
-        user.click("enable")
-        await user.until(lambda: suite.calls[-1] == ("set_enabled", True))
-
-    on_page(suite, story)
+@page_test
+async def test_the_switch_asks_for_the_other_state_and_waits_for_gravcomp(user, suite):
+    user.click("enable")
+    await user.until(lambda: suite.calls == [("set_enabled", False)])
+    assert user.text("enable") == "Compensation on", "clicked is not yet switched"
+    suite.put(active_tool=replace(ACTIVE, enabled=False))
+    await user.until(lambda: user.text("enable") == "Compensation off")
+    user.click("enable")
+    await user.until(lambda: suite.calls[-1] == ("set_enabled", True))
 
 
 @pytest.mark.parametrize(
@@ -49,50 +41,40 @@ def test_the_switch_asks_for_the_other_state_and_waits_for_gravcomp():
         (ACTIVE, NodeLevel.ERROR, "stale_joints"),
     ],
 )
-def test_the_switch_is_on_only_while_something_is_published(active_tool, level, state):
-    suite = FakeSuite()
-
-    async def story(user):
-        assert "panel-switch-on" in user.get("enable").classes
-        report = replace(COMPENSATING, level=level, values={"state": state})
-        suite.put(active_tool=active_tool, nodes={"gravcomp": report})
-        await user.until(lambda: user.text("enable") == "No compensation (switched on)")
-        assert "panel-switch-on" not in user.get("enable").classes
-        user.click("enable")
-        await user.until(lambda: suite.calls == [("set_enabled", False)])
-
-    on_page(suite, story)
+@page_test
+async def test_the_switch_is_on_only_while_something_is_published(
+    user, suite, active_tool, level, state
+):
+    assert "panel-switch-on" in user.get("enable").classes
+    report = replace(COMPENSATING, level=level, values={"state": state})
+    suite.put(active_tool=active_tool, nodes={"gravcomp": report})
+    await user.until(lambda: user.text("enable") == "No compensation (switched on)")
+    assert "panel-switch-on" not in user.get("enable").classes
+    user.click("enable")
+    await user.until(lambda: suite.calls == [("set_enabled", False)])
 
 
-def test_tare_says_what_it_takes_off():
-    suite = FakeSuite()
-
-    async def story(user):
-        assert user.text("tare-value") == "Tare: none."
-        user.click("tare")
-        await user.until(lambda: suite.calls == [("tare",)])
-        suite.put(active_tool=replace(ACTIVE, tare=(0.03, 0.0, 0.04, 0.0, 1e-3, 0.0)))
-        await user.until(lambda: user.text("tare-value") == "Tare: subtracts 50 mN, 1.0 mN·m.")
-
-    on_page(suite, story)
+@page_test
+async def test_tare_says_what_it_takes_off(user, suite):
+    assert user.text("tare-value") == "Tare: none."
+    user.click("tare")
+    await user.until(lambda: suite.calls == [("tare",)])
+    suite.put(active_tool=replace(ACTIVE, tare=(0.03, 0.0, 0.04, 0.0, 1e-3, 0.0)))
+    await user.until(lambda: user.text("tare-value") == "Tare: subtracts 50 mN, 1.0 mN·m.")
 
 
-def test_without_gravcomp_all_says_so():
-    suite = FakeSuite()
-
-    async def story(user):
-        suite.put(active_tool=None, available=frozenset(), tools=None)
-        await user.until(lambda: not user.get("enable").enabled)
-        assert user.text("enable") == "Compensation: unknown"
-        assert "gravcomp is not running" in user.text("active")
-        assert "gravcomp_node" in user.get("tare").props["title"]
-        assert not user.get("tare").enabled
-        assert "ros2 run galen_gravcomp gravcomp_node" in user.text("tools-note")
-        suite.put(active_tool=ACTIVE, available=ALL)
-        await user.until(lambda: user.get("enable").enabled and user.get("tare").enabled)
-        assert "title" not in user.get("tare").props
-
-    on_page(suite, story)
+@page_test
+async def test_without_gravcomp_all_says_so(user, suite):
+    suite.put(active_tool=None, available=frozenset(), tools=None)
+    await user.until(lambda: not user.get("enable").enabled)
+    assert user.text("enable") == "Compensation: unknown"
+    assert "gravcomp is not running" in user.text("active")
+    assert "gravcomp_node" in user.get("tare").props["title"]
+    assert not user.get("tare").enabled
+    assert "ros2 run galen_gravcomp gravcomp_node" in user.text("tools-note")
+    suite.put(active_tool=ACTIVE, available=ALL)
+    await user.until(lambda: user.get("enable").enabled and user.get("tare").enabled)
+    assert "title" not in user.get("tare").props
 
 
 class _Slow(FakeSuite):

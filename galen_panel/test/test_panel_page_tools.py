@@ -7,33 +7,29 @@ from functools import partial
 from fake_suite import ACTIVE, ALL, POINTER, RETRACTOR, FakeSuite
 from galen_panel.page.outcome import is_shown
 from galen_panel.snapshot import BehaviourKind, Goal, ListedTool, QuantityDifference
-from page_user import on_page
+from page_user import on_page, page_test
 
 
-def test_a_button_a_tool_puts_it_active():
-    suite = FakeSuite()
-
-    async def story(user):
-        text = user.text("tool-pointer")
-        for part in ("60.10 ± 0.03 g", "55.0, 2.0, 45.0 mm", "2026-11-21 14:03 UTC", "active"):
-            assert part in text, part
-        assert "Residual 3.6 mN" in text
-        assert "field 'load' is missing" in user.text("tool-drill")
-        assert not user.get("tool-drill").enabled
-        assert "active" not in user.text("tool-retractor")
-        assert user.get("tool-pointer").props["aria-pressed"] == "true"
-        user.click("tool-retractor")
-        await user.until(lambda: suite.calls == [("activate", "retractor")])
-        suite.put(
-            tools=(replace(POINTER, active_tool=False), replace(RETRACTOR, active_tool=True)),
-            active_tool=replace(ACTIVE, tool="retractor", calibrated_at=RETRACTOR.calibrated_at),
-        )
-        await user.until(lambda: "active" in user.text("tool-retractor"))
-        assert "active" not in user.text("tool-pointer")
-        user.click("no-tool")
-        await user.until(lambda: suite.calls[-1] == ("activate", ""))
-
-    on_page(suite, story)
+@page_test
+async def test_a_button_a_tool_puts_it_active(user, suite):
+    text = user.text("tool-pointer")
+    for part in ("60.10 ± 0.03 g", "55.0, 2.0, 45.0 mm", "2026-11-21 14:03 UTC", "active"):
+        assert part in text, part
+    assert "Residual 3.6 mN" in text
+    assert "field 'load' is missing" in user.text("tool-drill")
+    assert not user.get("tool-drill").enabled
+    assert "active" not in user.text("tool-retractor")
+    assert user.get("tool-pointer").props["aria-pressed"] == "true"
+    user.click("tool-retractor")
+    await user.until(lambda: suite.calls == [("activate", "retractor")])
+    suite.put(
+        tools=(replace(POINTER, active_tool=False), replace(RETRACTOR, active_tool=True)),
+        active_tool=replace(ACTIVE, tool="retractor", calibrated_at=RETRACTOR.calibrated_at),
+    )
+    await user.until(lambda: "active" in user.text("tool-retractor"))
+    assert "active" not in user.text("tool-pointer")
+    user.click("no-tool")
+    await user.until(lambda: suite.calls[-1] == ("activate", ""))
 
 
 def test_a_new_calibration_is_not_taken_for_the_one_that_is_compensated():
@@ -59,109 +55,88 @@ def test_a_new_calibration_is_not_taken_for_the_one_that_is_compensated():
     on_page(suite, story)
 
 
-def test_a_file_that_was_changed_otherwise_is_not_active_either():
-    suite = FakeSuite()
-
-    async def story(user):
-        suite.put(active_tool=replace(ACTIVE, file_state="changed"))
-        await user.until(lambda: "not active yet" in user.text("tool-pointer"))
-        broken = ListedTool(
-            "pointer", problem="pointer.json: field 'load' is missing", active_tool=True
-        )
-        suite.put(tools=(broken, RETRACTOR))
-        await user.until(lambda: "is missing" in user.text("tool-pointer"))
-        text = user.text("tool-pointer")
-        assert "Compensated now: 60.10 g" in text and "Press" not in text
-
-    on_page(suite, story)
+@page_test
+async def test_a_file_that_was_changed_otherwise_is_not_active_either(user, suite):
+    suite.put(active_tool=replace(ACTIVE, file_state="changed"))
+    await user.until(lambda: "not active yet" in user.text("tool-pointer"))
+    broken = ListedTool(
+        "pointer", problem="pointer.json: field 'load' is missing", active_tool=True
+    )
+    suite.put(tools=(broken, RETRACTOR))
+    await user.until(lambda: "is missing" in user.text("tool-pointer"))
+    text = user.text("tool-pointer")
+    assert "Compensated now: 60.10 g" in text and "Press" not in text
 
 
-def test_removing_is_asked_first():
-    suite = FakeSuite()
-
-    async def story(user):
-        assert not user.get("tool-pointer-remove").enabled, "it is active"
-        user.click("tool-retractor-remove")
-        await user.until(lambda: user.all("dialog-ok"))
-        user.click("dialog-cancel")
-        await user.until(lambda: not user.all("dialog-ok"))
-        assert suite.calls == []
-        user.click("tool-retractor-remove")
-        await user.until(lambda: user.all("dialog-ok"))
-        suite.put(tools=(POINTER,))  # its row goes while the question is open
-        await user.until(lambda: not user.all("tool-retractor"))
-        user.click("dialog-ok")
-        await user.until(lambda: suite.calls == [("remove_tool", "retractor")])
-        await user.until(lambda: user.notices() == ["done"])
-
-    on_page(suite, story)
+@page_test
+async def test_removing_is_asked_first(user, suite):
+    assert not user.get("tool-pointer-remove").enabled, "it is active"
+    user.click("tool-retractor-remove")
+    await user.until(lambda: user.all("dialog-ok"))
+    user.click("dialog-cancel")
+    await user.until(lambda: not user.all("dialog-ok"))
+    assert suite.calls == []
+    user.click("tool-retractor-remove")
+    await user.until(lambda: user.all("dialog-ok"))
+    suite.put(tools=(POINTER,))  # its row goes while the question is open
+    await user.until(lambda: not user.all("tool-retractor"))
+    user.click("dialog-ok")
+    await user.until(lambda: suite.calls == [("remove_tool", "retractor")])
+    await user.until(lambda: user.notices() == ["done"])
 
 
-def test_going_back_shows_first_what_would_change():
-    suite = FakeSuite()
-
-    async def story(user):
-        assert user.all("tool-retractor-revert") == [], "it has none before"
-        user.click("tool-pointer-revert")
-        await user.until(lambda: user.all("dialog-ok"))
-        assert suite.calls == [("compare", "pointer")]
-        user.click("dialog-ok")
-        await user.until(lambda: suite.calls[1:] == [("revert_tool", "pointer")])
-
-    on_page(suite, story)
+@page_test
+async def test_going_back_shows_first_what_would_change(user, suite):
+    assert user.all("tool-retractor-revert") == [], "it has none before"
+    user.click("tool-pointer-revert")
+    await user.until(lambda: user.all("dialog-ok"))
+    assert suite.calls == [("compare", "pointer")]
+    user.click("dialog-ok")
+    await user.until(lambda: suite.calls[1:] == [("revert_tool", "pointer")])
 
 
 def rejected(user, reason):
     return reason in (user.get("new-tool-name").error or "")
 
 
-def test_a_new_tool_is_named_and_calibrated():
-    suite = FakeSuite()
-
-    async def story(user):
-        user.click("new-tool")
-        await user.until(lambda: user.all("dialog-ok"))
-        assert "about 3 min" in user.text("new-tool-before")
-        assert "area around the arm" in user.text("new-tool-before")
-        # A browser would cut what is longer, and say nothing.
-        assert "maxlength" not in user.get("new-tool-name").props
-        wrong = (("../up", "letters"), ("", "letters"), ("x" * 300, "1 to 64 letters"))
-        for name, reason in (*wrong, ("pointer", "this name")):
-            user.enter("new-tool-name", name)
-            user.click("dialog-ok")
-            await user.until(partial(rejected, user, reason))
-        assert suite.calls == []
-        user.enter("new-tool-name", "drill_2")
-        user.enter("new-tool-tip-x", 150.0)
+@page_test
+async def test_a_new_tool_is_named_and_calibrated(user, suite):
+    user.click("new-tool")
+    await user.until(lambda: user.all("dialog-ok"))
+    assert "about 3 min" in user.text("new-tool-before")
+    assert "area around the arm" in user.text("new-tool-before")
+    # A browser would cut what is longer, and say nothing.
+    assert "maxlength" not in user.get("new-tool-name").props
+    wrong = (("../up", "letters"), ("", "letters"), ("x" * 300, "1 to 64 letters"))
+    for name, reason in (*wrong, ("pointer", "this name")):
+        user.enter("new-tool-name", name)
         user.click("dialog-ok")
-        await user.until(lambda: user.get("new-tool-tip-y").error)
-        assert suite.calls == []
-        user.enter("new-tool-tip-y", 0.0)
-        user.enter("new-tool-tip-z", 50.0)
-        user.click("dialog-ok")
-        await user.until(lambda: suite.calls)
-        ((call, goal),) = suite.calls
-        assert call == "start"
-        assert goal == Goal(BehaviourKind.CALIBRATE, "drill_2", tip_m=(0.15, 0.0, 0.05))
-        await user.until(lambda: not user.all("dialog-ok"))
+        await user.until(partial(rejected, user, reason))
+    assert suite.calls == []
+    user.enter("new-tool-name", "drill_2")
+    user.enter("new-tool-tip-x", 150.0)
+    user.click("dialog-ok")
+    await user.until(lambda: user.get("new-tool-tip-y").error)
+    assert suite.calls == []
+    user.enter("new-tool-tip-y", 0.0)
+    user.enter("new-tool-tip-z", 50.0)
+    user.click("dialog-ok")
+    await user.until(lambda: suite.calls)
+    ((call, goal),) = suite.calls
+    assert call == "start"
+    assert goal == Goal(BehaviourKind.CALIBRATE, "drill_2", tip_m=(0.15, 0.0, 0.05))
+    await user.until(lambda: not user.all("dialog-ok"))
 
-    on_page(suite, story)
 
-
-def test_where_nothing_takes_the_tool_off_a_person_does():
-    suite = FakeSuite()
-    suite.put(available=ALL - {"attach_tool"})
-
-    async def story(user):
-        user.click("new-tool")
-        await user.until(lambda: user.all("dialog-ok"))
-        assert not user.get("new-tool-by-hand").enabled
-        user.enter("new-tool-name", "drill_2")
-        user.click("dialog-ok")
-        goal = Goal(BehaviourKind.CALIBRATE, "drill_2", by_hand=True)
-        await user.until(lambda: suite.calls == [("start", goal)])
-
-    on_page(suite, story)
+@page_test(available=ALL - {"attach_tool"})
+async def test_where_nothing_takes_the_tool_off_a_person_does(user, suite):
+    user.click("new-tool")
+    await user.until(lambda: user.all("dialog-ok"))
+    assert not user.get("new-tool-by-hand").enabled
+    user.enter("new-tool-name", "drill_2")
+    user.click("dialog-ok")
+    goal = Goal(BehaviourKind.CALIBRATE, "drill_2", by_hand=True)
+    await user.until(lambda: suite.calls == [("start", goal)])
 
 
 def test_rows_are_kept_and_the_active_one_is_first():
