@@ -24,10 +24,11 @@ from typing import Any
 import numpy as np
 from galen_diagnosis.answer.answer import NONE
 from galen_diagnosis.blind.case import Case, generate
-from galen_diagnosis.blind.causes import CALIBRATION_UNKNOWN, EFFECTS, PAIRS
+from galen_diagnosis.blind.causes import EFFECTS, PAIRS
+from galen_diagnosis.blind.unlisted import CALIBRATION_UNKNOWN
 from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.inference.diagnosing import explore
-from galen_diagnosis.inference.posterior import Posterior, Scored, Settings, posterior
+from galen_diagnosis.inference.posterior import Probabilities, Scored, Settings, posterior
 from galen_diagnosis.observation.recording import read_recording
 from galen_model.files.atomic_file import write_whole
 from galen_ros.command import EXIT_OK, run_command
@@ -57,7 +58,7 @@ class Known:
     acceptable: tuple[frozenset[str], ...]
     scored: tuple[Scored, ...]
 
-    def chance(self, of: Posterior) -> float:
+    def chance(self, of: Probabilities) -> float:
         """Probability of what was there: sets of effects that hold one acceptable name for each."""
         if self.kind == "none":
             return of.none

@@ -42,10 +42,10 @@ from galen_diagnosis.blind.blind_protocol import (
     sealed_set,
 )
 from galen_diagnosis.blind.case import generate
-from galen_diagnosis.blind.making import Generate, Planned, full_plan, short_plan, thinned
+from galen_diagnosis.blind.labels import forget, private_directory
+from galen_diagnosis.blind.making import Generate, Planned, full_plan, short_plan
 from galen_diagnosis.blind.mujoco_arm import require_mujoco
 from galen_diagnosis.blind.score import Answered, Score, score, wrong_answers
-from galen_diagnosis.blind.seal import forget, private_directory
 from galen_diagnosis.blind.table import PROGRAM, markdown
 from galen_diagnosis.effects.candidates import SOUGHT
 
@@ -76,12 +76,6 @@ def build_parser() -> argparse.ArgumentParser:
     )
     size.add_argument(
         "--short", action="store_true", help="one recording of each sort: a check of the program"
-    )
-    parser.add_argument(
-        "--cases",
-        type=whole(1),
-        metavar="N",
-        help="only so many, of all sorts and strengths in turn",
     )
     parser.add_argument(
         "--seed",
@@ -129,12 +123,10 @@ def run(
     wanted: dict[str, Any] = {
         "short": arguments.short,
         "per_class": None if arguments.short else arguments.per_class,
-        "cases": arguments.cases,
     }
 
     def plan(seed: int) -> list[Planned]:
-        whole = short_plan(seed) if arguments.short else full_plan(seed, arguments.per_class)
-        return whole if arguments.cases is None else thinned(whole, arguments.cases)
+        return short_plan(seed) if arguments.short else full_plan(seed, arguments.per_class)
 
     started_s = time.monotonic()
     sha256 = sealed_set(places, wanted, arguments.seed, plan, arguments.workers, generate)

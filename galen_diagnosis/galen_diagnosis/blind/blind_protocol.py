@@ -8,7 +8,7 @@ An output directory holds
     answers/          what it left: diagnosis.json and beside.json for each
     labels.json       the labels, when they are open
 
-The labels lie in `seal.private_directory` till all answers are there. The diagnosing process is a
+The labels lie in `labels.private_directory` till all answers are there. The diagnosing process is a
 child with an environment and a working directory of its own; it gets two paths and can't read that
 directory (`confine`). What this doesn't keep out: a program that finds the seed on this process's
 command line and simulates the arm itself, one that runs as root where there is no Landlock, and the
@@ -34,20 +34,22 @@ from galen_model.files.json_fields import FieldError, get, mapping, read_json
 from galen_ros.command import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_OK, writing
 
 from galen_diagnosis.blind import confine
-from galen_diagnosis.blind.answers import Label, ParsedAnswer, parse_answer
 from galen_diagnosis.blind.case import generate
 from galen_diagnosis.blind.diagnosing import ANSWER, BESIDE
-from galen_diagnosis.blind.making import Generate, Planned, make_all
-from galen_diagnosis.blind.score import Answered
-from galen_diagnosis.blind.seal import (
+from galen_diagnosis.blind.labels import (
+    Label,
+    ParsedAnswer,
     SealError,
     directory_sha256,
     forget,
     opened,
+    parse_answer,
     private_directory,
     sealed,
     write_sealed,
 )
+from galen_diagnosis.blind.making import Generate, Planned, make_all
+from galen_diagnosis.blind.score import Answered
 
 _LARGEST_JSON = 50_000_000
 _KEPT_VARIABLES = (

@@ -25,19 +25,10 @@ from galen_sim_driver.effects.effect import Effect, Instants, Loading
 from scipy.spatial.transform import Rotation
 
 from galen_diagnosis.blind.baselines import explained, templates
-from galen_diagnosis.blind.causes import (
-    CALIBRATION_UNKNOWN,
-    EFFECTS,
-    LISTED,
-    NEED_PUSHES,
-    PAIRS,
-    TEST_UNKNOWN,
-    TWINS,
-    UNLISTED,
-    Cause,
-)
+from galen_diagnosis.blind.causes import EFFECTS, LISTED, NEED_PUSHES, PAIRS, TWINS, Cause
 from galen_diagnosis.blind.measuring import Measurement, draw_tolerance, write_recording
 from galen_diagnosis.blind.session import BAGS, draw_session
+from galen_diagnosis.blind.unlisted import CALIBRATION_UNKNOWN, TEST_UNKNOWN, UNLISTED
 from galen_diagnosis.effects.candidates import unknown_columns
 from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.inference.search import healthy_background
@@ -88,11 +79,10 @@ class Truth:
     acceptable: tuple[tuple[str, ...], ...] = ()
 
 
-def generate(case: Case, directory: Path, twin: Path | None = None) -> Truth:
+def generate(case: Case, directory: Path) -> Truth:
     """Write the case's recording into a new directory; returns what it hides.
 
-    twin: directory for the same recording, noise included, without the cause. Raises
-    DiagnosisError.
+    Raises DiagnosisError.
     """
     if directory.exists() and any(directory.iterdir()):
         raise DiagnosisError(f"{directory}: is there already, and isn't empty")
@@ -103,11 +93,9 @@ def generate(case: Case, directory: Path, twin: Path | None = None) -> Truth:
     if case.kind == "none":
         write_recording(directory, healthy)
         return Truth()
-    with tempfile.TemporaryDirectory(prefix="galen_blind_twin_") as folder:
-        place = Path(folder) if twin is None else twin
-        place.mkdir(parents=True, exist_ok=True)
-        write_recording(place, healthy)
-        changed, truth = _hidden(case, _Yardstick(healthy, place))
+    with tempfile.TemporaryDirectory(prefix="galen_blind_healthy_") as folder:
+        write_recording(Path(folder), healthy)
+        changed, truth = _hidden(case, _Yardstick(healthy, Path(folder)))
     write_recording(directory, changed)
     return truth
 

@@ -1,8 +1,8 @@
-"""What a blind recording may hide: the contract's effects, and causes that aren't on its list.
+"""What a blind recording may hide: causes by the contract's effects.
 
 A `Cause` is a size and what it changes on the way from joints to files. Those of the arm change
-the plant that MuJoCo simulates; those of sensor and tracker change arrays. The unlisted ones come
-in two lists that share nothing: thresholds are calibrated on the one, `blind_check` asks the other.
+the plant that MuJoCo simulates; those of sensor and tracker change arrays. `unlisted.py` has those
+that aren't on the list.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from galen_diagnosis.blind.session import BAGS, any_direction
 if TYPE_CHECKING:
     from galen_diagnosis.blind.measuring import Measurement
 
-_TURNING = GALEN.turning_names
-_LAST = _TURNING[-1]
-_SIGMA = SENSOR.noise_std
+TURNING = GALEN.turning_names
+_LAST = TURNING[-1]
+SIGMA = SENSOR.noise_std
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,8 @@ class Cause:
 Draw = Callable[[np.random.Generator, "Measurement"], Cause]
 
 
-def _sign(rng: np.random.Generator) -> float:
+def sign(rng: np.random.Generator) -> float:
+    """Draw -1 or 1."""
     return float(rng.choice([-1.0, 1.0]))
 
 
@@ -93,7 +94,7 @@ def _place(joint: str) -> Array:
 
 def _zero_offset(joint: str) -> Draw:
     return lambda rng, _: Cause(
-        f"joint_zero_offset:{joint}", 0.005 * _sign(rng), 0.3,
+        f"joint_zero_offset:{joint}", 0.005 * sign(rng), 0.3,
         lambda size, _: {"joint": joint, "offset_rad": size},
         plant=lambda size, plant: replace(plant, zero=plant.zero + size * _place(joint)),
     )  # fmt: skip
@@ -101,7 +102,7 @@ def _zero_offset(joint: str) -> Draw:
 
 def _gain(joint: str) -> Draw:
     return lambda rng, _: Cause(
-        f"joint_gain:{joint}", 0.01 * _sign(rng), 0.5,
+        f"joint_gain:{joint}", 0.01 * sign(rng), 0.5,
         lambda size, _: {"joint": joint, "gain": size},
         plant=lambda size, plant: replace(plant, gain=plant.gain + size * _place(joint)),
     )  # fmt: skip
@@ -117,7 +118,7 @@ def _misalignment(joint: str) -> Draw:
         return replace(plant, arm=replace(plant.arm, joints=joints))
 
     return lambda rng, _: Cause(
-        f"joint_axis_misalignment:{joint}", 0.01 * _sign(rng), 0.4,
+        f"joint_axis_misalignment:{joint}", 0.01 * sign(rng), 0.4,
         lambda size, _: {"joint": joint, "about": "z", "angle_rad": size}, plant=turned,
     )  # fmt: skip
 
@@ -143,7 +144,7 @@ def inclined(about_x: float, about_y: float) -> Cause:
 
 def _backlash(rng: np.random.Generator, _: Measurement) -> Cause:
     """At once, with stiction, or softly over a few tenths of a newton metre."""
-    joint, kind, moment = str(rng.choice(_TURNING)), int(rng.integers(3)), rng.uniform(0.05, 0.3)
+    joint, kind, moment = str(rng.choice(TURNING)), int(rng.integers(3)), rng.uniform(0.05, 0.3)
 
     def gap(size: float, plant: Plant) -> Plant:
         soft = 2.0 * moment / size if kind == 2 else 0.0
@@ -190,7 +191,7 @@ def _with_tool(plant: Plant, mass_kg: float, com_m: Array) -> Plant:
 
 def _mass_error(rng: np.random.Generator, _: Measurement) -> Cause:
     return Cause(
-        "tool_mass_error", 0.001 * _sign(rng), 1.0, lambda size, _: {"delta_kg": size},
+        "tool_mass_error", 0.001 * sign(rng), 1.0, lambda size, _: {"delta_kg": size},
         plant=lambda size, plant: _with_tool(plant, plant.tool.mass_kg + size, plant.tool.com_m),
     )  # fmt: skip
 
@@ -219,7 +220,7 @@ def _loose(rng: np.random.Generator, _: Measurement) -> Cause:
 
 def _cable(rng: np.random.Generator, _: Measurement) -> Cause:
     """Held somewhere above, beside or behind the arm; its size is the usual tension."""
-    x, y, z = rng.uniform([0.0, 0.2, 0.7], [0.8, 0.7, 1.5]) * [1.0, _sign(rng), 1.0]
+    x, y, z = rng.uniform([0.0, 0.2, 0.7], [0.8, 0.7, 1.5]) * [1.0, sign(rng), 1.0]
     a, b, c = rng.uniform([0.02, -0.02, 0.02], [0.10, 0.02, 0.08])
     grow, weight, friction = rng.uniform([1.05, 0.05, 0.0], [2.5, 0.3, 0.03])
     usual = float(np.linalg.norm(np.array([x, y, z]) - [0.72, 0.0, 0.5]))
@@ -265,7 +266,7 @@ def _mount(rng: np.random.Generator, _: Measurement) -> Cause:
 def _axis_gain(rng: np.random.Generator, _: Measurement) -> Cause:
     """One axis in half of the cases, else all six as they come."""
     every = rng.uniform(-1.0, 1.0, 6)
-    one = _sign(rng) * np.eye(6)[rng.integers(6)]
+    one = sign(rng) * np.eye(6)[rng.integers(6)]
     way = one if rng.random() < 0.5 else every / np.max(np.abs(every))
     return Cause(
         "axis_gain", 0.02, 0.6, lambda size, _: {"gain": _numbers(size * way)},
@@ -275,9 +276,9 @@ def _axis_gain(rng: np.random.Generator, _: Measurement) -> Cause:
 
 def _crosstalk(rng: np.random.Generator, _: Measurement) -> Cause:
     a, b = (int(axis) for axis in rng.choice(6, 2, replace=False))
-    unit = _SIGMA[b] / _SIGMA[a]
+    unit = SIGMA[b] / SIGMA[a]
     return Cause(
-        "crosstalk", 0.02 * _sign(rng), 1.0,
+        "crosstalk", 0.02 * sign(rng), 1.0,
         lambda size, _: {"from": WRENCH_AXES[a], "to": WRENCH_AXES[b], "coefficient": size * unit},
         sense=lambda size, _, total: total + size * unit * np.outer(total[:, a], np.eye(6)[b]),
     )  # fmt: skip
@@ -305,7 +306,7 @@ def _saturation(rng: np.random.Generator, healthy: Measurement) -> Cause:
 
 def _drift(rng: np.random.Generator, healthy: Measurement) -> Cause:
     """Warming up, 1 - exp(-t / tau), a random walk that returns, or half of each."""
-    way = any_direction(rng, 6) * _SIGMA
+    way = any_direction(rng, 6) * SIGMA
     share = float(rng.choice([0.0, 0.5, 1.0]))
     duration_s = healthy.session.duration_s
     at_s = np.arange(0.0, duration_s + 8.0, 4.0)
@@ -324,7 +325,7 @@ def _drift(rng: np.random.Generator, healthy: Measurement) -> Cause:
 def _step(rng: np.random.Generator, healthy: Measurement) -> Cause:
     """Within some tens of ms, in the middle three quarters of a bag."""
     bag = str(rng.choice(list(healthy.session.takes)))
-    way = any_direction(rng, 6) * _SIGMA
+    way = any_direction(rng, 6) * SIGMA
     time_s = float(healthy.session.takes[bag].end_s * rng.uniform(0.12, 0.88))
     takes_s = float(rng.uniform(0.02, 0.05))
 
@@ -367,7 +368,7 @@ def _delay(topic: str) -> Draw:
 
 def _tracker_scale(rng: np.random.Generator, _: Measurement) -> Cause:
     return Cause(
-        "tracker_scale", 0.002 * _sign(rng), 0.2, lambda size, _: {"gain": size},
+        "tracker_scale", 0.002 * sign(rng), 0.2, lambda size, _: {"gain": size},
         seen=lambda size, position: position * (1.0 + size),
     )  # fmt: skip
 
@@ -389,7 +390,7 @@ def _base_shift(rng: np.random.Generator, healthy: Measurement) -> Cause:
 
 
 LISTED: Mapping[str, Draw] = {
-    **{f"joint_zero_offset:{joint}": _zero_offset(joint) for joint in _TURNING},
+    **{f"joint_zero_offset:{joint}": _zero_offset(joint) for joint in TURNING},
     f"joint_gain:{_LAST}": _gain(_LAST),
     f"joint_axis_misalignment:{_LAST}": _misalignment(_LAST),
     "base_inclination": _inclination,
@@ -430,140 +431,7 @@ PAIRS = tuple(pair for pair in combinations(EFFECTS, 2) if set(pair) not in _ALI
 """All pairs but those of near twins."""
 
 TWINS: Mapping[str, Draw] = {
-    f"joint_zero_offset:{_TURNING[0]}": _zero_offset(_TURNING[0]),
-    "base_inclination": lambda rng, _: inclined(_sign(rng), 0.0),
+    f"joint_zero_offset:{TURNING[0]}": _zero_offset(TURNING[0]),
+    "base_inclination": lambda rng, _: inclined(sign(rng), 0.0),
 }
 """Exact twins where nothing pushes: both turn gravity about the first turning axis."""
-
-
-# Not on the contract's list
-
-
-def _unlisted(name: str, size: float, largest: float, **hooks: Any) -> Cause:
-    return Cause(name, size, largest, lambda size, _: {"size": size}, **hooks)
-
-
-def _eccentricity(rng: np.random.Generator, _: Measurement) -> Cause:
-    """Put an encoder off its axis: q + size (sin(q + phase) - sin(phase))."""
-    k, phase = GALEN.turning[0], rng.uniform(1.0, 2.1)
-
-    def joints(size: float, reported: Array) -> Array:
-        true = np.array(reported)
-        true[:, k] += size * (np.sin(true[:, k] + phase) - np.sin(phase))
-        return true
-
-    return _unlisted("encoder_eccentricity", 0.01 * _sign(rng), 0.3, joints=joints)
-
-
-def _bent_sensor(rng: np.random.Generator, _: Measurement) -> Cause:
-    """Bend an axis: reading += size x^2 / (100 noises)."""
-    axis = int(rng.integers(6))
-    way = np.eye(6)[axis] / (100.0 * _SIGMA)
-    return _unlisted(
-        "quadratic_sensor", 0.03 * _sign(rng), 1.0,
-        sense=lambda size, _, total: total + size * total**2 * way,
-    )  # fmt: skip
-
-
-def _sag(rng: np.random.Generator, _: Measurement) -> Cause:
-    """Drives leave a share of the weight uncompensated: the arm sags on its springs."""
-    return _unlisted("weight_sag", 0.5, 20.0, plant=lambda size, plant: replace(plant, weight=size))
-
-
-def _warm_gain(rng: np.random.Generator, _: Measurement) -> Cause:
-    """All gains grow while the sensor warms up."""
-    tau_s = rng.uniform(60.0, 300.0)
-    return _unlisted(
-        "thermal_gain", 0.02 * _sign(rng), 0.5,
-        sense=lambda size, at, total: total * (
-            1.0 + size * (1.0 - np.exp(-np.maximum(at.session_s, 0.0) / tau_s))
-        )[:, None],
-    )  # fmt: skip
-
-
-def _friction(rng: np.random.Generator, _: Measurement) -> Cause:
-    """Dry friction (N.m) in a joint, behind its spring: the link lags behind the drive."""
-    joint = str(rng.choice(_TURNING))
-    return _unlisted(
-        "joint_friction", 1.0, 100.0,
-        plant=lambda size, plant: replace(plant, friction={joint: size}),
-    )  # fmt: skip
-
-
-def _rattle(rng: np.random.Generator, healthy: Measurement) -> Cause:
-    """Let a part of the tool's mass slide freely along one of ft_sensor's axes."""
-    axis, mass = int(rng.integers(2)), 0.3 * healthy.plant.tool.mass_kg
-
-    def plant(size: float, plant: Plant) -> Plant:
-        reach = size * np.eye(3)[axis]
-        return replace(plant, inner=InnerMass(mass, (reach[0], reach[1], reach[2])))
-
-    return _unlisted("rattling_mass", 0.004, 0.08, plant=plant)
-
-
-def _slosh(rng: np.random.Generator, healthy: Measurement) -> Cause:
-    """Liquid in the tool: a share of its mass swings on soft springs, hardly damped."""
-    frequency_hz = rng.uniform(2.0, 4.0)
-
-    def plant(size: float, plant: Plant) -> Plant:
-        mass = size * plant.tool.mass_kg
-        omega = 2.0 * np.pi * frequency_hz
-        inner = InnerMass(mass, (0.06,) * 3, mass * omega**2, 0.06 * mass * omega)
-        return replace(plant, inner=inner)
-
-    return _unlisted("sloshing_mass", 0.2, 0.8, plant=plant)
-
-
-def _creep(rng: np.random.Generator, _: Measurement) -> Cause:
-    """Follow a share of the load late: x + size (low-passed x - x)."""
-    tau_s = rng.uniform(10.0, 40.0)
-
-    def sense(size: float, at: Moment, total: Array) -> Array:
-        if len(total) < 2:
-            return total
-        keep = np.exp(-np.diff(at.bag_s, prepend=at.bag_s[0]) / tau_s)
-        slow = np.array(total)
-        for k in range(1, len(total)):
-            slow[k] = total[k] + (slow[k - 1] - total[k]) * keep[k]
-        return np.asarray(total + size * (slow - total))
-
-    return _unlisted("creep", 0.02, 0.8, sense=sense)
-
-
-def _far_tracker(rng: np.random.Generator, healthy: Measurement) -> Cause:
-    """Positions are off along the line of sight by size (1/m) times their distance squared."""
-
-    def seen(size: float, position: Array) -> Array:
-        return position * (1.0 + size * np.linalg.norm(position, axis=1, keepdims=True))
-
-    return _unlisted("tracker_distance", 0.002 * _sign(rng), 0.5, seen=seen)
-
-
-def _sensor_hysteresis(rng: np.random.Generator, _: Measurement) -> Cause:
-    """Come back along another line: x - size (x - play of x)."""
-    share = rng.uniform(0.04, 0.12)
-
-    def sense(size: float, _: Moment, total: Array) -> Array:
-        if len(total) < 2:
-            return total
-        width = share * np.ptp(total, axis=0)
-        held, state = np.empty_like(total), total[0]
-        for k, (low, high) in enumerate(zip(total - width, total + width, strict=True)):
-            state = np.minimum(np.maximum(state, low), high)
-            held[k] = state
-        return np.asarray(total - size * (total - held))
-
-    return _unlisted("sensor_hysteresis", 0.1, 3.0, sense=sense)
-
-
-_CALIBRATION: Mapping[str, Draw] = {
-    "encoder_eccentricity": _eccentricity, "quadratic_sensor": _bent_sensor, "weight_sag": _sag,
-    "thermal_gain": _warm_gain,
-}  # fmt: skip
-_TEST: Mapping[str, Draw] = {
-    "joint_friction": _friction, "rattling_mass": _rattle, "sloshing_mass": _slosh,
-    "creep": _creep, "tracker_distance": _far_tracker, "sensor_hysteresis": _sensor_hysteresis,
-}  # fmt: skip
-
-UNLISTED: Mapping[str, Draw] = {**_CALIBRATION, **_TEST}
-CALIBRATION_UNKNOWN, TEST_UNKNOWN = tuple(_CALIBRATION), tuple(_TEST)

@@ -1,7 +1,6 @@
 """Which recordings a blind check makes, under names that show nothing, and their making.
 
-Bags go to the diagnosis, labels to the private directory. A label holds the share of the gap that
-the true cause closes: the same arm measured again, with the same noise, without the cause.
+Bags go to the diagnosis, labels to the private directory.
 """
 
 from __future__ import annotations
@@ -15,29 +14,15 @@ from pathlib import Path
 
 import numpy as np
 from galen_bags.many import run_many
-from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.files.atomic_file import write_whole
 from galen_model.files.json_fields import FieldError
 
 from galen_diagnosis.answer.answer import NONE
-from galen_diagnosis.answer.gap import without_unknowns
-from galen_diagnosis.blind.answers import Label, LabelKind, label_from_json
 from galen_diagnosis.blind.case import STRENGTHS, Case, Truth, generate
-from galen_diagnosis.blind.causes import (
-    CALIBRATION_UNKNOWN,
-    EFFECTS,
-    PAIRS,
-    TEST_UNKNOWN,
-    TWINS,
-)
-from galen_diagnosis.blind.seal import directory_sha256
-from galen_diagnosis.inference.refine import nothing
-from galen_diagnosis.inference.search import healthy_background
-from galen_diagnosis.inference.structure import remaining_energy
-from galen_diagnosis.observation.observation import UNKNOWNS, Observation
-from galen_diagnosis.observation.recording import read_recording
-from galen_diagnosis.observation.rows import FOLDS
+from galen_diagnosis.blind.causes import EFFECTS, PAIRS, TWINS
+from galen_diagnosis.blind.labels import Label, LabelKind, directory_sha256, label_from_json
+from galen_diagnosis.blind.unlisted import CALIBRATION_UNKNOWN, TEST_UNKNOWN
 
 TEST, CALIBRATION = "unknown_test", "unknown_calibration"
 _NONE_PER_CLASS = 20
@@ -85,16 +70,6 @@ def short_plan(seed: int) -> list[Planned]:
     return _named(_SHORT, seed)
 
 
-def thinned(plan: Sequence[Planned], cases: int) -> list[Planned]:
-    """Take so many of a plan, of every sort and strength in turn; all where it has no more."""
-    sorts: dict[tuple[str, str], list[Planned]] = {}
-    for planned in plan:
-        sorts.setdefault((planned.case.kind, planned.case.strength), []).append(planned)
-    turns = [(turn, key) for key, own in sorts.items() for turn in range(len(own))]
-    kept = [sorts[key].pop() for _, key in sorted(turns)[:cases]]
-    return sorted(kept, key=lambda planned: planned.recording)
-
-
 def _named(sorts: Sequence[Sort], seed: int) -> list[Planned]:
     random = np.random.default_rng(np.random.SeedSequence(seed))
     names = random.choice(16**6, size=len(sorts), replace=False)
@@ -114,7 +89,7 @@ _KINDS: dict[str, LabelKind] = {
 _SAME_TIME_S = 946_684_800
 """2000-01-01: the time that every file bears."""
 
-Generate = Callable[[Case, Path, Path | None], Truth]
+Generate = Callable[[Case, Path], Truth]
 
 
 @dataclass(frozen=True)
@@ -134,11 +109,10 @@ class Maker:
         label = self._label_path(recording.name)
         if label.exists() and recording.exists():
             return
-        work, twin = (self.private / f"{recording.name}{end}" for end in (".work", ".twin"))
-        for old in (work, twin, recording):
+        work = self.private / f"{recording.name}.work"
+        for old in (work, recording):
             shutil.rmtree(old, ignore_errors=True)
-        asks_oracle = case.kind in ("single", "pair", "ambiguous") and case.strength != "faint"
-        truth = self.generate(case, work, twin if asks_oracle else None)
+        truth = self.generate(case, work)
         made = Label(
             recording=recording.name,
             kind=_KINDS[case.kind],
@@ -146,12 +120,10 @@ class Maker:
             strength=truth.strength,
             d=min(truth.d, default=None),
             acceptable=truth.acceptable,
-            oracle_closed=oracle_closed(work, twin) if twin.exists() else None,
             plant_seed=case.seed,
             bags=tuple(case.bags),
             sha256=directory_sha256(work),
         )
-        shutil.rmtree(twin, ignore_errors=True)
         shutil.move(work, recording)
         write_whole(label, json.dumps(made.to_json()))
 
@@ -193,29 +165,3 @@ def same_times(folder: Path) -> None:
     """Give all files and directories in a folder one time of access and change."""
     for path in (*sorted(folder.rglob("*"), reverse=True), folder):
         os.utime(path, (_SAME_TIME_S, _SAME_TIME_S))
-
-
-def oracle_closed(recording: Path, twin: Path) -> float | None:
-    """Return (E - E_twin) / (E - floor); None where E isn't above the floor.
-
-    twin: the recording without the cause. E is the mean square of held-out rows as a diagnosis
-    counts it (`gap.py`), beside the nominal simulator with the tolerances that the twin shows.
-    """
-    healthy, sick = (Observation(read_recording(path)) for path in (twin, recording))
-    behind = healthy_background(healthy)
-    none = nothing(healthy, behind)
-    tolerances = none.background[UNKNOWNS:]
-    floor = remaining_energy(healthy.rows, none.rows)[1]
-    after, before = (_energy(one, tolerances) for one in (healthy, sick))
-    return None if before <= floor else float((before - after) / (before - floor))
-
-
-def _energy(observation: Observation, tolerances: Array) -> float:
-    """Mean square of held-out rows with these tolerances in the simulator."""
-    behind = healthy_background(observation)
-    rows = observation.nominal - behind.columns[:, UNKNOWNS:] @ tolerances
-    left = np.empty(len(rows))
-    for fold in range(FOLDS):
-        out = observation.rows.fold == fold
-        left[out] = without_unknowns(behind, rows, out)
-    return float(np.mean(left**2))

@@ -223,7 +223,8 @@ class MujocoArm:
         turns = joint.kind == "revolute"
         kind = mj.mjtJoint.mjJNT_HINGE if turns else mj.mjtJoint.mjJNT_SLIDE
         link.add_joint(
-            name=joint.name, type=kind, axis=joint.axis, armature=_ROTOR_KG_M2 if turns else _LINK_KG,
+            name=joint.name, type=kind, axis=joint.axis,
+            armature=_ROTOR_KG_M2 if turns else _LINK_KG,
             frictionloss=plant.friction.get(joint.name, 0.0),
             solref_friction=_HARD, solimp_friction=_HARD_IMPEDANCE,
         )  # fmt: skip

@@ -14,15 +14,13 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from galen_diagnosis.answer.answer import NONE, UNKNOWN
-from galen_diagnosis.blind.answers import Label, ParsedAnswer
+from galen_diagnosis.blind.labels import Label, ParsedAnswer
 from galen_diagnosis.blind.rates import ParameterError, Rate, calibration, compare, rate
 
 STRENGTHS = ("faint", "clear", "gross")
 SURE = ("clear", "gross")
 """Strengths that a diagnosis must get right; a faint one it may leave open."""
 FALSE_POSITIVES = 0.05
-CLOSED_WITHIN = 0.03
-"""How near to the oracle's the closed fraction should come."""
 
 
 @dataclass(frozen=True)
@@ -112,7 +110,6 @@ def score(cases: Sequence[Answered], effects: Sequence[str]) -> Score:
     plain = [c for c in cases if c.label.kind in (NONE, "single", UNKNOWN)]
     errors, words = _parameters([*singles, *pairs])
     threshold = _threshold([c.unknown for c in cases if c.label.kind != UNKNOWN])
-    closed = _closed_errors([*singles, *pairs])
     of_pairs, pair_f1 = _pairs(pairs)
     classes = {name: _by_strength(name, plain, lambda c: c.right) for name in names}
     twins_as_one = [_by_strength(name, plain, lambda c: c.accepted) for name in effects]
@@ -127,7 +124,6 @@ def score(cases: Sequence[Answered], effects: Sequence[str]) -> Score:
             ),
             "coverage": rate(e.covered for e in errors if e.covered is not None),
             "words": words,
-            "closed_near": rate(abs(error) <= CLOSED_WITHIN for error in closed),
         },
         numbers={
             "top1_by_class": _mean_of_classes([classes[name] for name in effects]),
@@ -135,8 +131,10 @@ def score(cases: Sequence[Answered], effects: Sequence[str]) -> Score:
             "unknown_threshold": threshold,
             "pairs_f1": pair_f1,
             "rms_error_sigma": _rms([e.in_sigma for e in errors if e.in_sigma is not None]),
-            "closed_error": float(np.median(closed)) if closed else None,
-            **_calibrations(plain),
+            **calibration(
+                [c.said.ranking for c in plain if c.said is not None],
+                [c.label.answer for c in plain if c.said is not None],
+            ),
             **_seconds(cases),
         },
         classes={name: own for name, own in classes.items() if own},
@@ -288,30 +286,6 @@ def _matched(wanted: Sequence[set[str]], causes: frozenset[str]) -> int:
     fits = np.array([[float(cause in names) for cause in sorted(causes)] for names in wanted])
     rows, columns = linear_sum_assignment(-fits)
     return int(fits[rows, columns].sum())
-
-
-def _closed_errors(cases: Sequence[Answered]) -> list[float]:
-    """List the closed fraction less the oracle's, of clear and gross ones."""
-    return [
-        c.said.closed - c.label.oracle_closed
-        for c in cases
-        if c.said is not None
-        and c.said.closed is not None
-        and c.label.oracle_closed is not None
-        and c.label.strength in SURE
-    ]
-
-
-def _calibrations(plain: Sequence[Answered]) -> dict[str, float | None]:
-    found: dict[str, float | None] = {}
-    for end, cases in (
-        ("", plain),
-        ("_without_faint", [c for c in plain if c.label.strength != "faint"]),
-    ):
-        answered = [(dict(c.said.ranking), c.label.answer) for c in cases if c.said is not None]
-        own = calibration([one for one, _ in answered], [truth for _, truth in answered])
-        found |= {f"{name}{end}": value for name, value in own.items()}
-    return found
 
 
 def _seconds(cases: Sequence[Answered]) -> dict[str, float | None]:

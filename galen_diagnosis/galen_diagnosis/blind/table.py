@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from galen_diagnosis.blind.rates import Rate
-from galen_diagnosis.blind.score import CLOSED_WITHIN, STRENGTHS, Score, sure_rate
+from galen_diagnosis.blind.score import STRENGTHS, Score, sure_rate
 
 PROGRAM = "galen_diagnosis"
 _SINGLES = "singles, clear and gross: top-1, mean over classes"
@@ -29,11 +29,8 @@ _LINES = (
     ("parameters: coverage of 95 % intervals", "90–99 %", "coverage"),
     ("parameters: RMS error, own σ", "", "rms_error_sigma"),
     ("axis, joint, bag named right", "", "words"),
-    (f"closed fraction within {CLOSED_WITHIN} of the oracle's", "", "closed_near"),
-    ("closed fraction less the oracle's, median", "", "closed_error"),
     ("calibration error (ECE)", "", "calibration_error"),
     ("calibration error by chance alone", "", "calibration_error_by_chance"),
-    ("calibration error without faint ones", "", "calibration_error_without_faint"),
     ("Brier score", "", "brier"),
     ("log score, nats", "", "log_score"),
     ("wall time of a recording, median, s", "≤ 30", "seconds_median"),

@@ -1,19 +1,48 @@
-"""Labels, which stay sealed until all answers are there, and answers, as they are scored."""
+"""Labels and their seal, and answers as they are scored.
+
+The labels lie in a directory that only this user may enter. Their text begins with 32 random bytes,
+so that trying out hashes finds no labels. Its SHA-256 is published first; opening shows that no
+label changed since.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import hashlib
+import hmac
+import json
+import os
+import secrets
+import shutil
+import stat
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
+from pathlib import Path
 from typing import Any, Literal
 
-from galen_model.files.json_fields import FieldError, get, items, mapping, number, text, texts
-from galen_sim_driver.effects.registry import contract_form, identity_of
+from galen_model.errors import GalenError
+from galen_model.files.atomic_file import write_whole
+from galen_model.files.json_fields import (
+    FieldError,
+    get,
+    items,
+    mapping,
+    number,
+    parse_json,
+    text,
+    texts,
+)
+from galen_sim_driver.effects.registry import identity_of
 
 from galen_diagnosis.answer.answer import NONE, UNKNOWN
 
 LabelKind = Literal["single", "none", "unknown", "pair", "ambiguous"]
 LABEL_KINDS: tuple[LabelKind, ...] = ("single", "none", "unknown", "pair", "ambiguous")
+_SALT_BYTES = 32
 _EFFECTS = {"single": 1, "pair": 2, "ambiguous": 1, NONE: 0, UNKNOWN: 1}
+
+
+class SealError(GalenError):
+    """Labels that can't be kept, or aren't those that were sealed."""
 
 
 @dataclass(frozen=True)
@@ -24,9 +53,7 @@ class Label:
     unknown cause the name is none of the list. strength: the word of it. d: how far the cause
     stands out in standard deviations after the nuisances, None where it wasn't measured.
     acceptable: for each effect the names, its own among them, that this recording can't separate
-    from it. oracle_closed: the share of the gap that the true cause closes. plant_seed, bags: of
-    the recording. sha256: of the
-    directory's files (`seal.directory_sha256`).
+    from it. plant_seed, bags: of the recording. sha256: of the directory's files.
     """
 
     recording: str
@@ -35,7 +62,6 @@ class Label:
     strength: str = ""
     d: float | None = None
     acceptable: tuple[tuple[str, ...], ...] = ()
-    oracle_closed: float | None = None
     plant_seed: int = 0
     bags: tuple[str, ...] = ("sweep", "motion", "push")
     sha256: str = ""
@@ -82,16 +108,97 @@ def label_from_json(content: Any) -> Label:
     for effect in effects:
         text(get(effect, "effect"), "effect")
         mapping(get(effect, "parameters"), "parameters")
-    same = tuple(tuple(map(_renamed, names)) for names in found.get("acceptable", ()))
-    bags = tuple(found.get("bags", ()))
-    renamed = [contract_form(str(one["effect"]), one["parameters"]) for one in effects]
-    found["effects"] = tuple({"effect": name, "parameters": of} for name, of in renamed)
-    return Label(**{**found, "acceptable": same, "bags": bags})
+    found["effects"] = tuple(effects)
+    for name in ("acceptable", "bags"):
+        found[name] = tuple(found.get(name, ()))
+    found["acceptable"] = tuple(map(tuple, found["acceptable"]))
+    return Label(**found)
 
 
-def _renamed(name: str) -> str:
-    """Name an acceptable answer by today's identity; older labels' effects had no joints."""
-    return name if ":" in name else identity_of(*contract_form(name, {}))
+def private_directory(output: Path) -> Path:
+    """Where the labels of this output are kept until they are opened; made with mode 0700.
+
+    It lies in the user's state directory (XDG Base Directory Specification), under a name that is
+    always the same for one output, so that an interrupted check finds it again. Raises SealError.
+    """
+    home = os.environ.get("XDG_STATE_HOME")
+    state = Path(home) if home else Path.home() / ".local" / "state"
+    name = hashlib.sha256(str(output.resolve()).encode()).hexdigest()[:16]
+    folder = state.resolve() / "galen_blind_check" / name
+    if folder.is_relative_to(output.resolve()):
+        raise SealError(f"{folder}: the labels would lie within {output}; set XDG_STATE_HOME")
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        folder.chmod(0o700)
+        found = folder.stat()
+    except OSError as error:
+        raise SealError(f"{folder}: the labels can't be kept there: {error.strerror}") from error
+    if found.st_uid != os.geteuid() or stat.S_IMODE(found.st_mode) != 0o700:
+        raise SealError(f"{folder}: the labels can't be kept there: others may read it")
+    return folder
+
+
+def forget(folder: Path) -> None:
+    """Remove what `private_directory` made; after the labels were opened."""
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+def sealed(labels: Sequence[Label]) -> tuple[str, str]:
+    """Return the text to keep, and its SHA-256 in hexadecimal, to be published."""
+    content = json.dumps(
+        {
+            "schema_version": 1,
+            "salt": secrets.token_hex(_SALT_BYTES),
+            "labels": [label.to_json() for label in labels],
+        },
+        indent=1,
+        sort_keys=True,
+    )
+    return content, sha256(content)
+
+
+def sha256(content: str) -> str:
+    """In hexadecimal."""
+    return hashlib.sha256(content.encode()).hexdigest()
+
+
+def directory_sha256(folder: Path) -> str:
+    """Of a directory's files, their names and contents, in hexadecimal; raises SealError."""
+    whole = hashlib.sha256()
+    try:
+        for path in sorted(path for path in folder.rglob("*") if path.is_file()):
+            with path.open("rb") as stream:
+                content = hashlib.file_digest(stream, "sha256").hexdigest()
+            whole.update(f"{path.relative_to(folder)}\0{content}\n".encode())
+    except OSError as error:
+        raise SealError(f"{folder}: can't be read: {error.strerror}") from error
+    return whole.hexdigest()
+
+
+def write_sealed(path: Path, content: str) -> None:
+    """Write the labels; raises SealError."""
+    try:
+        write_whole(path, content)
+        path.chmod(0o600)
+    except OSError as error:
+        raise SealError(f"{path}: can't be written: {error.strerror}") from error
+
+
+def opened(path: Path, published_sha256: str) -> tuple[Label, ...]:
+    """Read a sealed file's labels, if they are those of the hash; raises SealError."""
+    try:
+        content = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise SealError(f"{path}: the labels can't be read: {error.strerror}") from error
+    if not hmac.compare_digest(sha256(content), published_sha256):
+        raise SealError(f"{path}: isn't what was sealed: its SHA-256 is not {published_sha256}")
+    try:
+        return tuple(
+            label_from_json(label)
+            for label in get(mapping(parse_json(content), "labels"), "labels")
+        )
+    except (FieldError, TypeError) as error:
+        raise SealError(f"{path}: {error}") from error
 
 
 VERDICTS = (NONE, "identified", "ambiguous", UNKNOWN)
@@ -102,8 +209,8 @@ class ParsedAnswer:
     """An answer; effects are identities, with the joint where they have one.
 
     causes: effect to its parameters as `diagnosis.json` has them; equivalent: effects that are
-    indistinguishable from one of the causes. ranking: probabilities by name. closed: the closed
-    fraction, None without one. seconds: wall time of the diagnosis.
+    indistinguishable from one of the causes. ranking: probabilities by name. seconds: wall time of
+    the diagnosis.
     """
 
     recording: str
@@ -111,7 +218,6 @@ class ParsedAnswer:
     causes: Mapping[str, Mapping[str, Any]]
     equivalent: frozenset[str]
     ranking: Mapping[str, float]
-    closed: float | None = None
     seconds: float | None = None
 
     @property
@@ -140,15 +246,12 @@ def parse_answer(recording: str, content: Any, seconds: float | None = None) -> 
     if not ranking or any(not 0.0 <= p <= 1.0 + 1e-9 for p in ranking.values()):
         raise FieldError("ranking is empty, or has a probability outside 0 ... 1")
     causes = [mapping(cause, "cause") for cause in items(get(answer, "causes"), "causes")]
-    closed = mapping(get(answer, "gap"), "gap").get("closed_fraction")
-    value = None if closed is None else get(mapping(closed, "closed_fraction"), "value")
     return ParsedAnswer(
         recording=recording,
         verdict=verdict,
         causes={_identity(cause): _parameters(cause) for cause in causes},
         equivalent=frozenset(name for cause in causes for name in _equivalent(cause)),
         ranking=ranking,
-        closed=None if value is None else number(value, "closed_fraction"),
         seconds=seconds,
     )
 
