@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from galen_diagnosis.answer.answer import Answer, Cause, Diagnosis, Interval
+from galen_diagnosis.answer.answer import Answer, Diagnosis, FoundCause, Interval
 from galen_diagnosis.answer.localization import localize
-from galen_diagnosis.observation.rows import BAGS, CHANNELS, FOLDS, REGIMES, Rows, Stream
+from galen_diagnosis.observation.rows import BAGS, CHANNELS, FOLDS, REGIMES, ResidualRows, Stream
 from galen_diagnosis.report.words import sentence
 from galen_sim_driver.effects.joints import JointZeroOffset
 
@@ -51,7 +51,7 @@ def example_rows(rows_a_pose=2, seed=0):
                     _part("push", regime, at_s, joints, 0 * joints, position, block, channels)
                 )
     columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    return Rows(**columns)
+    return ResidualRows(**columns)
 
 
 def _part(bag, regime, at_s, joints, rate, pose, block, channels):
@@ -103,7 +103,7 @@ def example_streams(error=0.0, seed=1):
 
 def example_answer(verdict="identified", recording="example"):
     """An answer with that verdict; its numbers are made up."""
-    tilt = Cause(
+    tilt = FoundCause(
         "joint_zero_offset",
         0.93,
         {"offset_rad": Interval(0.0102, 0.0099, 0.0105)},
@@ -111,7 +111,7 @@ def example_answer(verdict="identified", recording="example"):
         Interval(0.98, 0.97, 0.99),
         joint="tilt",
     )
-    turned = Cause(
+    turned = FoundCause(
         "sensor_mount_rotation",
         0.45,
         {"rotvec_rad": [Interval(0.0, -1e-4, 1e-4), Interval(0.01, 9e-3, 11e-3)]

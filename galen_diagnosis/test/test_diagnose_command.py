@@ -13,7 +13,7 @@ import pytest
 from diagnosis_example import example_diagnosis
 from galen_bags.formats.writer import BagWriter
 from galen_diagnosis.errors import DiagnosisError
-from galen_diagnosis.observation.recording import Recording
+from galen_diagnosis.observation.recording import DiagnosticRecording
 from galen_diagnosis.report import report
 from galen_model.arm.galen import JOINT_NAMES
 from galen_ros.cdr import joint_state_bytes, wrench_bytes
@@ -37,7 +37,7 @@ def recordings(monkeypatch, tmp_path):
     def read(path, tool=None):
         if path.name.startswith("broken"):
             raise DiagnosisError(f"{path}: no directory with a recording")
-        return Recording(path.name, tool, {}, (), ())
+        return DiagnosticRecording(path.name, tool, {}, (), ())
 
     def diagnosed(recording, progress=None):
         diagnosis = diagnosed_as(recording.name.split("_")[0])

@@ -9,7 +9,7 @@ from html.parser import HTMLParser
 import pytest
 import yaml
 from diagnosis_example import example_answer, example_diagnosis
-from galen_diagnosis.answer.answer import Answer, Cause, Interval
+from galen_diagnosis.answer.answer import Answer, FoundCause, Interval
 from galen_diagnosis.report.pictures import gap_figure
 from galen_diagnosis.report.report import effect_file, report
 from galen_diagnosis.report.words import (
@@ -154,7 +154,7 @@ def test_every_effect_has_a_sentence_with_all_its_numbers(name):
     effect = EFFECTS[name]()
     told = contract_parameters(effect.with_vector(effect.vector() + 0.03))
     parameters = {key: with_intervals(value) for key, value in told.items() if key != "joint"}
-    cause = Cause(name, 1.0, parameters, (), None, joint="tilt")
+    cause = FoundCause(name, 1.0, parameters, (), None, joint="tilt")
     text = cause_words(cause)
     assert not text.startswith(title(cause.label) + " (")  # its name if its words don't fit
     for parameter in parameters:
@@ -193,7 +193,7 @@ def test_every_effect_has_a_sentence_with_all_its_numbers(name):
     ],
 )  # fmt: skip
 def test_parameters_in_units_that_people_read(effect, parameters, expected):
-    assert cause_words(Cause(effect, 1.0, parameters, (), None, joint="tilt")) == expected
+    assert cause_words(FoundCause(effect, 1.0, parameters, (), None, joint="tilt")) == expected
 
 
 @pytest.mark.parametrize(
@@ -237,7 +237,7 @@ def test_sentences_of_the_verdicts(diagnosis):
     assert "or one of 17 other effects" in sentence(replace(open_, causes=(many,)))
     assert "nothing on the list explains" in words["unknown"]
     answer = example_answer()
-    mass = Cause("tool_mass_error", 0.9, {"delta_kg": Interval(0.005, 0.0048, 0.0052)},
+    mass = FoundCause("tool_mass_error", 0.9, {"delta_kg": Interval(0.005, 0.0048, 0.0052)},
                  ("axis_gain",), None)  # fmt: skip
     two = sentence(replace(answer, causes=(*answer.causes, mass)))
     assert (

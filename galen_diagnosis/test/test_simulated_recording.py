@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from galen_bags.formats.bag import open_bag
 from galen_diagnosis.errors import DiagnosisError
-from galen_diagnosis.observation.recording import Recording, read_recording
+from galen_diagnosis.observation.recording import DiagnosticRecording, read_recording
 from galen_diagnosis.simulated_recording import main, make_recording, sweep_poses
 from galen_model.arm.galen import SENSOR, TRACKER_POSITION_NOISE_M
 from galen_model.errors import GalenError
@@ -23,7 +23,7 @@ from galen_sim_driver.replay import Replay, Scene
 FEW = sweep_poses()[::11]
 
 
-def scene(recording: Recording, name: str) -> Scene:
+def scene(recording: DiagnosticRecording, name: str) -> Scene:
     bag, tool = recording.bags[name], recording.tool
     return Scene(
         bag=name,

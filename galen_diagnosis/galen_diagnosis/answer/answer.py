@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 from galen_model.arrays import Array
 from galen_sim_driver.effects.effect import Effect
 
-from galen_diagnosis.observation.rows import Rows, Stream
+from galen_diagnosis.observation.rows import ResidualRows, Stream
 
 if TYPE_CHECKING:
     from galen_diagnosis.experiment.next_experiment import Experiment
@@ -37,7 +37,7 @@ class Interval(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Cause:
+class FoundCause:
     """One effect that was found; `joint` where it is at one.
 
     parameters: name to interval, to a list or a mapping of them, or to a word (`axis`, `bag`).
@@ -67,7 +67,7 @@ class Answer:
 
     recording: str
     verdict: Verdict
-    causes: tuple[Cause, ...]
+    causes: tuple[FoundCause, ...]
     ranking: tuple[tuple[str, float], ...]
     where: dict[str, Any]
     gap: dict[str, Any]
@@ -103,7 +103,7 @@ def _at(identity: str) -> dict[str, str]:
     return {"effect": effect, "joint": joint} if joint else {"effect": effect}
 
 
-def _cause_to_json(cause: Cause) -> dict[str, Any]:
+def _cause_to_json(cause: FoundCause) -> dict[str, Any]:
     joints: dict[str, list[str]] = {}
     for effect, _, joint in (name.partition(":") for name in cause.equivalent):
         if joint:
@@ -146,7 +146,7 @@ class Diagnosis:
     """
 
     answer: Answer
-    rows: Rows
+    rows: ResidualRows
     held_out_before: Array
     held_out_after: Array
     streams_before: tuple[Stream, ...]

@@ -46,7 +46,7 @@ from galen_diagnosis.effects.candidates import Candidate
 from galen_diagnosis.inference.posterior import Settings
 from galen_diagnosis.inference.refine import Hypothesis, refine
 from galen_diagnosis.observation.observation import UNKNOWNS, Observation
-from galen_diagnosis.observation.rows import FOLDS, Rows
+from galen_diagnosis.observation.rows import FOLDS, ResidualRows
 
 _DRAWS = 400
 _GAP_SEED, _PARAMETER_SEED = 20191, 1956
@@ -120,7 +120,9 @@ def held_out_gap(
     return Gap(before, after, floor, closed_fraction(rows, before, after, floor))
 
 
-def closed_fraction(rows: Rows, before: Array, after: Array, floor: float) -> Interval | None:
+def closed_fraction(
+    rows: ResidualRows, before: Array, after: Array, floor: float
+) -> Interval | None:
     """Return the closed fraction of rows (N,); None where before isn't above the floor."""
     blocks = int(rows.block.max()) + 1
     sums = [np.bincount(rows.block, part, blocks) for part in (before**2, after**2)]

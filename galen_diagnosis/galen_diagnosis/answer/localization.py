@@ -33,7 +33,7 @@ from typing import Any
 import numpy as np
 from galen_model.arrays import Array
 
-from galen_diagnosis.observation.rows import BAGS, CHANNELS, REGIMES, Rows
+from galen_diagnosis.observation.rows import BAGS, CHANNELS, REGIMES, ResidualRows
 
 LEVEL = 0.05
 """A cell with a smaller corrected p-value is marked."""
@@ -71,7 +71,7 @@ class CellScores:
 
 
 def localize(
-    rows: Rows, residual: Array, floor: float = 1.0, healthy: Array | None = None
+    rows: ResidualRows, residual: Array, floor: float = 1.0, healthy: Array | None = None
 ) -> dict[str, Any]:
     """Return the contract's `where`, with ratios and p-values beside the shares.
 
@@ -104,7 +104,11 @@ def localize(
 
 
 def cell_scores(
-    rows: Rows, residual: Array, view: View, floor: float = 1.0, healthy: Array | None = None
+    rows: ResidualRows,
+    residual: Array,
+    view: View,
+    floor: float = 1.0,
+    healthy: Array | None = None,
 ) -> CellScores:
     """Test a view's cells on whitened residuals (N,); arguments as `localize` has them."""
     energy = residual**2 / floor
@@ -140,7 +144,7 @@ def _by_names(index: np.ndarray, names: tuple[str, ...]) -> View:
     return View(labels, tuple({} for _ in labels), np.arange(len(index)), cell.ravel())
 
 
-def by_regime_of_bag(rows: Rows) -> View:
+def by_regime_of_bag(rows: ResidualRows) -> View:
     """Cut by channel in each regime of each bag, for the picture."""
     shape = (len(BAGS), len(REGIMES), len(CHANNELS))
     keys = np.ravel_multi_index((rows.bag, rows.regime, rows.channel), shape)
@@ -153,7 +157,7 @@ def by_regime_of_bag(rows: Rows) -> View:
     return View(labels, details, np.arange(len(rows)), cell.ravel())
 
 
-def by_pose(rows: Rows) -> View:
+def by_pose(rows: ResidualRows) -> View:
     """Cut by the sweep's still poses and the arm's positions among the pushes."""
     row = np.flatnonzero(rows.pose >= 0)
     poses = int(rows.pose.max(initial=0)) + 1

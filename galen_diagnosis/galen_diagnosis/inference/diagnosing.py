@@ -16,8 +16,8 @@ from galen_diagnosis.answer.answer import (
     SURE,
     UNKNOWN,
     Answer,
-    Cause,
     Diagnosis,
+    FoundCause,
     Interval,
     Verdict,
 )
@@ -27,7 +27,7 @@ from galen_diagnosis.effects.candidates import NEEDS_MOTION, NEEDS_TRACKER, SOUG
 from galen_diagnosis.experiment.next_experiment import Experiment, propose
 from galen_diagnosis.experiment.separation import Alternative
 from galen_diagnosis.inference.posterior import (
-    Posterior,
+    Probabilities,
     Scored,
     Settings,
     load_settings,
@@ -43,7 +43,7 @@ from galen_diagnosis.inference.structure import (
     structures,
 )
 from galen_diagnosis.observation.observation import UNKNOWNS, Observation
-from galen_diagnosis.observation.recording import Recording
+from galen_diagnosis.observation.recording import DiagnosticRecording
 from galen_diagnosis.report.words import sentence
 
 Progress = Callable[[str, float], None]
@@ -72,7 +72,7 @@ class Explored:
     scored: tuple[Scored, ...]
 
 
-def explore(recording: Recording, progress: Progress | None = None) -> Explored:
+def explore(recording: DiagnosticRecording, progress: Progress | None = None) -> Explored:
     """Observe and search."""
     say = progress or (lambda what, share: None)
     observation = Observation(recording)
@@ -97,7 +97,9 @@ def explore(recording: Recording, progress: Progress | None = None) -> Explored:
 
 
 def diagnose_recording(
-    recording: Recording, settings: Settings | None = None, progress: Progress | None = None
+    recording: DiagnosticRecording,
+    settings: Settings | None = None,
+    progress: Progress | None = None,
 ) -> Diagnosis:
     """Diagnose; progress(what, share of the whole) is called as it goes on."""
     say = progress or (lambda what, share: None)
@@ -154,7 +156,7 @@ def _healthy(found: Found, plain: Background) -> Array:
     return np.asarray(tolerances - unknown)
 
 
-def _sets(explored: Explored, chances: Posterior) -> list[tuple[float, frozenset[str]]]:
+def _sets(explored: Explored, chances: Probabilities) -> list[tuple[float, frozenset[str]]]:
     """Return sets of effects by probability, the likeliest first."""
     total: dict[frozenset[str], float] = {}
     for one, chance in zip(explored.scored, chances.hypotheses, strict=True):
@@ -170,7 +172,7 @@ def _fitted(found: Found, names: frozenset[str]) -> Hypothesis | None:
     return max(fits, key=lambda one: one.log_bayes, default=None)
 
 
-def _verdict(explored: Explored, chances: Posterior) -> tuple[Verdict, Hypothesis | None]:
+def _verdict(explored: Explored, chances: Probabilities) -> tuple[Verdict, Hypothesis | None]:
     sets = _sets(explored, chances)
     best = next(
         (fit for _, names in sets if (fit := _fitted(explored.found, names)) is not None), None
@@ -186,17 +188,17 @@ def _verdict(explored: Explored, chances: Posterior) -> tuple[Verdict, Hypothesi
 
 def _causes(
     explored: Explored,
-    chances: Posterior,
+    chances: Probabilities,
     verdict: Verdict,
     best: Hypothesis,
     gap: Gap,
     settings: Settings,
-) -> tuple[Cause, ...]:
+) -> tuple[FoundCause, ...]:
     """Return the best fit's effects and, where ambiguous, those of other likely fits."""
     if verdict == NONE:
         return ()
     found = explored.found
-    causes: dict[str, Cause] = {}
+    causes: dict[str, FoundCause] = {}
     left = min(one.energy for one in explored.scored)
     fits = [best]
     if verdict == "ambiguous":
@@ -212,7 +214,7 @@ def _causes(
                 continue
             closed = gap.fraction if number == 0 and len(fit.parts) == 1 else None
             joint = named.pop("joint", None)
-            causes[part.effect] = Cause(
+            causes[part.effect] = FoundCause(
                 effect=part.effect.partition(":")[0],
                 joint=joint,
                 probability=chances.effects.get(part.effect, 0.0),
@@ -253,13 +255,13 @@ def _equivalent(explored: Explored, fit: Hypothesis, index: int) -> tuple[str, .
     return tuple(name for name in SOUGHT if name in out)
 
 
-def _ranking(chances: Posterior) -> tuple[tuple[str, float], ...]:
+def _ranking(chances: Probabilities) -> tuple[tuple[str, float], ...]:
     each = {name: chances.effects.get(name, 0.0) for name in SOUGHT}
     each[NONE], each[UNKNOWN] = chances.none, chances.unknown
     return tuple(sorted(each.items(), key=lambda pair: -pair[1]))
 
 
-def _next(explored: Explored, chances: Posterior, verdict: Verdict) -> Experiment | None:
+def _next(explored: Explored, chances: Probabilities, verdict: Verdict) -> Experiment | None:
     """Return the experiment for the fits that are left, where more than one is."""
     if verdict != "ambiguous":
         return None

@@ -105,7 +105,7 @@ class Scored:
 
 
 @dataclass(frozen=True)
-class Posterior:
+class Probabilities:
     """probability of each hypothesis in the order given, of none and unknown; by effect."""
 
     hypotheses: tuple[float, ...]
@@ -156,7 +156,7 @@ def _bent(occam: float) -> float:
     return occam if occam < _FULL else _FULL + _REST * (occam - _FULL)
 
 
-def posterior(of: Sequence[Scored], settings: Settings) -> Posterior:
+def posterior(of: Sequence[Scored], settings: Settings) -> Probabilities:
     """Probabilities."""
     none = next(one for one in of if not one.names)
     logs = np.array([_log(one, one.energy, none.energy, settings) for one in of])
@@ -177,7 +177,9 @@ def posterior(of: Sequence[Scored], settings: Settings) -> Posterior:
     # Sums of many that are one but for rounding.
     effects = {name: min(1.0, chance) for name, chance in effects.items()}
     at_none = sum(float(w) for one, w in zip(of, weights, strict=False) if not one.names)
-    return Posterior(tuple(float(w) for w in weights[:-1]), at_none, float(weights[-1]), effects)
+    return Probabilities(
+        tuple(float(w) for w in weights[:-1]), at_none, float(weights[-1]), effects
+    )
 
 
 def _log_beside(one: Scored, left: float, before: float, settings: Settings) -> float:

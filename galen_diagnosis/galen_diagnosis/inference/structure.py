@@ -33,14 +33,14 @@ from scipy.fft import dct
 
 from galen_diagnosis.observation.noise import smooth_basis
 from galen_diagnosis.observation.observation import Observation
-from galen_diagnosis.observation.rows import BAGS, CHANNELS, TIP_AXES, Rows, Stream
+from galen_diagnosis.observation.rows import BAGS, CHANNELS, TIP_AXES, ResidualRows, Stream
 
 _CELL_S = 0.5
 _SURE = 2.0
 _FLOOR_ERROR = 0.04
 
 
-def remaining_energy(rows: Rows, residual: Array) -> tuple[float, float]:
+def remaining_energy(rows: ResidualRows, residual: Array) -> tuple[float, float]:
     """Return the energy of cells' means that noise and its estimate can't be, and the floor.
 
     The floor is the mean square of a row about its cell's mean, what noise alone gives a row.
@@ -56,7 +56,7 @@ def remaining_energy(rows: Rows, residual: Array) -> tuple[float, float]:
     return max(0.0, energy - count * floor - chance), floor
 
 
-def _cells(rows: Rows) -> np.ndarray:
+def _cells(rows: ResidualRows) -> np.ndarray:
     """Cell (N,) of each row: a channel of a pose of the sweep, else of half a second."""
     piece = np.zeros(len(rows), dtype=np.int64)
     for number, name in enumerate(BAGS):

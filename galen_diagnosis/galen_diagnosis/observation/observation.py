@@ -26,14 +26,14 @@ from galen_sim_driver.replay import Replay, Scene
 
 from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.observation.noise import ChannelNoise, channel_noise
-from galen_diagnosis.observation.recording import BagData, Recording, Track
+from galen_diagnosis.observation.recording import BagData, DiagnosticRecording, Track
 from galen_diagnosis.observation.rows import (
     BAGS,
     MARKER_AXES,
     TIP_AXES,
     Groups,
     Phases,
-    Rows,
+    ResidualRows,
     Stream,
     blocks,
     deal,
@@ -121,7 +121,7 @@ _Part = tuple[dict[str, np.ndarray], Array]
 class Observation:
     """What was measured, as rows; `residual` gives them under effects and unknowns."""
 
-    def __init__(self, recording: Recording) -> None:
+    def __init__(self, recording: DiagnosticRecording) -> None:
         """Whiten with the noise of the nominal residual; raises DiagnosisError for too little."""
         self.recording = recording
         self.base_in_tracker: Transform | None = None
@@ -138,7 +138,7 @@ class Observation:
             first_block += len(numbers)
             parts.append((rows, values))
         joined, self.nominal = _joined(parts)
-        self.rows = Rows(**joined, arm=recording.arm)
+        self.rows = ResidualRows(**joined, arm=recording.arm)
         if first_block < 2:
             raise DiagnosisError(
                 f"{recording.name}: one pose, or three seconds, is all there is; nothing is "

@@ -62,7 +62,7 @@ class BagData:
 
 
 @dataclass(frozen=True)
-class Recording:
+class DiagnosticRecording:
     """Bags by name, in the contract's order, of an arm; `missing` names those that aren't there."""
 
     name: str
@@ -75,7 +75,7 @@ class Recording:
 
 def read_recording(
     path: str | os.PathLike[str], tool: str | os.PathLike[str] | None = None
-) -> Recording:
+) -> DiagnosticRecording:
     """Read a recording's directory; raises DiagnosisError, BagError or CalibrationFileError.
 
     tool: the tool's file, where it isn't the directory's own tool.json. Missing bags are named in
@@ -111,7 +111,9 @@ def read_recording(
             "model of a diagnosis leaves them out, and so finds them again"
         )
     missing = tuple(name for name in BAGS if name not in arms)
-    return Recording(path.absolute().name or str(path), tool_file, bags, missing, tuple(problems))
+    return DiagnosticRecording(
+        path.absolute().name or str(path), tool_file, bags, missing, tuple(problems)
+    )
 
 
 def _no_recording(path: Path) -> str:

@@ -47,7 +47,7 @@ FOLDS = 4
 
 
 @dataclass(frozen=True)
-class Rows:
+class ResidualRows:
     """Where N rows come from; all arrays (N,) unless said.
 
     channel, bag, regime: indices into CHANNELS, BAGS, REGIMES. bag_s, session_s: time of the row

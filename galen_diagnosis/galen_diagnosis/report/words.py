@@ -8,7 +8,7 @@ from typing import Any
 
 from galen_model.arm.galen import WRENCH_AXES
 
-from galen_diagnosis.answer.answer import NONE, SURE, UNKNOWN, Answer, Cause, Interval
+from galen_diagnosis.answer.answer import NONE, SURE, UNKNOWN, Answer, FoundCause, Interval
 
 RANKING_NOTE = (
     "Each probability is that of one cause being there; several can be there together, so they"
@@ -182,7 +182,7 @@ def _not_zero(part: Interval) -> bool:
     return part.low > 0.0 or part.high < 0.0
 
 
-def cause_words(cause: Cause) -> str:
+def cause_words(cause: FoundCause) -> str:
     """Write what an effect does, as a part of a sentence with its numbers."""
     parameters = cause.parameters
     words = {name: parameter_words(cause.effect, name, parameters) for name in parameters}
@@ -244,7 +244,7 @@ def sentence(answer: Answer) -> str:
     return text + where
 
 
-def _identified(causes: Sequence[Cause], closed: str) -> str:
+def _identified(causes: Sequence[FoundCause], closed: str) -> str:
     parts = [cause_words(cause) for cause in causes]
     if len(parts) == 1:
         text = f"{_capital(parts[0])}: this explains {closed} of the gap."
@@ -254,7 +254,7 @@ def _identified(causes: Sequence[Cause], closed: str) -> str:
     return text + "".join(_twins(cause) for cause in causes)
 
 
-def _ambiguous(causes: Sequence[Cause], closed: str) -> str:
+def _ambiguous(causes: Sequence[FoundCause], closed: str) -> str:
     sure = [cause for cause in causes if cause.probability >= SURE]
     maybe = ", or ".join(_one_of(cause) for cause in causes if cause.probability < SURE)
     if sure:
@@ -270,13 +270,13 @@ def _ambiguous(causes: Sequence[Cause], closed: str) -> str:
     return f"{text} What is found explains {closed} of the gap."
 
 
-def _one_of(cause: Cause) -> str:
+def _one_of(cause: FoundCause) -> str:
     """Return an open cause with its probability and its equivalents."""
     text = f"{cause_words(cause)} ({cause.probability:.0%})"
     return f"{text}, or {_names(cause.equivalent)}" if cause.equivalent else text
 
 
-def _twins(cause: Cause) -> str:
+def _twins(cause: FoundCause) -> str:
     if not cause.equivalent:
         return ""
     return f" This recording can't distinguish it from: {_names(cause.equivalent)}."

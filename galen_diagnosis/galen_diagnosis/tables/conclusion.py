@@ -11,7 +11,7 @@ from galen_model.arrays import Array
 from galen_model.evidence.held_out import BlockEvidence, BlockHypothesis, BlockRows, Effects
 from galen_model.evidence.search import SearchResult, SearchSettings, search
 
-from galen_diagnosis.answer.answer import SURE, UNKNOWN, Answer, Cause, Interval, Verdict
+from galen_diagnosis.answer.answer import SURE, UNKNOWN, Answer, FoundCause, Interval, Verdict
 from galen_diagnosis.report.words import sentence
 
 _PART = 0.5
@@ -63,7 +63,7 @@ def diagnose_blocks(
     verdict = _verdict(found, closed)
     remains = not best.floor_only and np.mean(after**2) > max(floor, 1e-12) * _ABOVE_FLOOR
     causes = [
-        Cause(
+        FoundCause(
             effect=effect,
             probability=round(found.inclusion[effect], 4),
             parameters=parameters,
@@ -74,7 +74,7 @@ def diagnose_blocks(
         if verdict != UNKNOWN or found.inclusion[effect] >= SURE
     ]
     if verdict == UNKNOWN or (best.effects and remains and rows.floor_known):
-        causes.append(Cause(UNKNOWN, round(_unexplained(found), 4), {}, (), None))
+        causes.append(FoundCause(UNKNOWN, round(_unexplained(found), 4), {}, (), None))
     ranking = sorted(found.inclusion.items(), key=lambda item: -item[1])
     no_floor = "the noise floor isn't known: closed fractions are of the whole residual"
     answer = Answer(
