@@ -28,7 +28,6 @@ from galen_ros.command import (
     run_command,
     terminal,
 )
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
@@ -90,22 +89,17 @@ def build_parser() -> argparse.ArgumentParser:
     return parser
 
 
-class _Output:
-    """Prints an answer: JSON, or tables and lines."""
-
-    def __init__(self, as_json: bool, console: Console) -> None:
-        self._as_json = as_json
-        self._console = console
-
-    def give(self, content: dict[str, Any], *shown: str | Table) -> None:
-        if self._as_json:
-            print_json(content)
-            return
-        for item in shown:
-            self._console.print(item, soft_wrap=isinstance(item, str), highlight=False)
+def _give(arguments: argparse.Namespace, content: dict[str, Any], *shown: str | Table) -> None:
+    """Print an answer: JSON, or tables and lines."""
+    if arguments.json:
+        print_json(content)
+        return
+    console = terminal()
+    for item in shown:
+        console.print(item, soft_wrap=isinstance(item, str), highlight=False)
 
 
-def _list(_arguments: argparse.Namespace, store: CalibrationStore, out: _Output) -> None:
+def _list(arguments: argparse.Namespace, store: CalibrationStore) -> None:
     if not store.directory.is_dir():
         raise CalibrationStoreError(
             f"{store.directory}: no such directory; --tools-dir names another one, and the first"
@@ -137,10 +131,10 @@ def _list(_arguments: argparse.Namespace, store: CalibrationStore, out: _Output)
     removed = list(store.removed())
     shown = [f"removed, and can be restored: {', '.join(removed)}"] if removed else []
     content = {"tools_dir": str(store.directory), "tools": rows, "removed": removed}
-    out.give(content, table, *broken, *shown)
+    _give(arguments, content, table, *broken, *shown)
 
 
-def _show(arguments: argparse.Namespace, store: CalibrationStore, out: _Output) -> None:
+def _show(arguments: argparse.Namespace, store: CalibrationStore) -> None:
     stored = store.read(arguments.tool)
     tool = stored.tool
     content = tool.to_json() | {"path": str(stored.path), "sha256": stored.sha256}
@@ -149,7 +143,8 @@ def _show(arguments: argparse.Namespace, store: CalibrationStore, out: _Output) 
         table.add_row(name, _mass(load), _millimetres(load.com_m), _millimetres(load.com_std_m))
     table.add_row("tip", "", _millimetres(tool.tip_m), "")
     rejected = f", {len(tool.poses_rejected)} rejected" if tool.poses_rejected else ""
-    out.give(
+    _give(
+        arguments,
         content,
         f"[bold]{tool.tool}[/bold]: {escape(str(stored.path))}",
         table,
@@ -164,7 +159,7 @@ def _show(arguments: argparse.Namespace, store: CalibrationStore, out: _Output) 
     )
 
 
-def _compare(arguments: argparse.Namespace, store: CalibrationStore, out: _Output) -> None:
+def _compare(arguments: argparse.Namespace, store: CalibrationStore) -> None:
     if arguments.previous:
         before, present = store.previous(arguments.a), store.read(arguments.a)
         names = (before_name(arguments.a), arguments.a)
@@ -186,7 +181,7 @@ def _compare(arguments: argparse.Namespace, store: CalibrationStore, out: _Outpu
             row.text,
         )
     sentence = f"[{style}]{escape(comparison.text)}[/{style}]"
-    out.give(comparison_to_json(comparison), sentence, table)
+    _give(arguments, comparison_to_json(comparison), sentence, table)
 
 
 def comparison_to_json(comparison: CalibrationComparison) -> dict[str, Any]:
@@ -217,25 +212,25 @@ def comparison_to_json(comparison: CalibrationComparison) -> dict[str, Any]:
     }
 
 
-def _rename(arguments: argparse.Namespace, store: CalibrationStore, out: _Output) -> None:
+def _rename(arguments: argparse.Namespace, store: CalibrationStore) -> None:
     path = store.rename(arguments.tool, arguments.new_name).path
-    out.give({"path": str(path)}, escape(f"'{arguments.tool}' is now {path}"))
+    _give(arguments, {"path": str(path)}, escape(f"'{arguments.tool}' is now {path}"))
 
 
-def _revert(arguments: argparse.Namespace, store: CalibrationStore, out: _Output) -> None:
+def _revert(arguments: argparse.Namespace, store: CalibrationStore) -> None:
     stored = store.revert(arguments.tool)
     at = stored.tool.calibrated_at
     text = f"'{arguments.tool}' is as calibrated {at} again: {stored.path}"
-    out.give({"path": str(stored.path), "calibrated_at": at}, escape(text))
+    _give(arguments, {"path": str(stored.path), "calibrated_at": at}, escape(text))
 
 
-def _remove(arguments: argparse.Namespace, store: CalibrationStore, out: _Output) -> None:
+def _remove(arguments: argparse.Namespace, store: CalibrationStore) -> None:
     name = arguments.tool
     if not arguments.yes and not _agreed(name, store):
         raise GalenError(f"'{name}' is not removed")
     kept = store.remove(name)
     text = f"removed; kept as {kept}; back with: tools restore {name}"
-    out.give({"kept_as": str(kept)}, escape(text))
+    _give(arguments, {"kept_as": str(kept)}, escape(text))
 
 
 def _agreed(name: str, store: CalibrationStore) -> bool:
@@ -248,12 +243,12 @@ def _agreed(name: str, store: CalibrationStore) -> bool:
     return sys.stdin.readline().strip().lower() in ("y", "yes")
 
 
-def _restore(arguments: argparse.Namespace, store: CalibrationStore, out: _Output) -> None:
+def _restore(arguments: argparse.Namespace, store: CalibrationStore) -> None:
     path = store.restore(arguments.tool)
-    out.give({"path": str(path)}, escape(f"'{arguments.tool}' is back: {path}"))
+    _give(arguments, {"path": str(path)}, escape(f"'{arguments.tool}' is back: {path}"))
 
 
-def _active(arguments: argparse.Namespace, ros_args: Sequence[str], out: _Output) -> None:
+def _active(arguments: argparse.Namespace, ros_args: Sequence[str]) -> None:
     from galen_gravcomp.tool_services import read_active  # needs ROS, the other commands don't
 
     state = read_active(arguments.node, arguments.timeout_s, ros_args)
@@ -267,7 +262,7 @@ def _active(arguments: argparse.Namespace, ros_args: Sequence[str], out: _Output
             f"[yellow]the file is {state['file_state']} since it was loaded: what is active is the"
             " older content[/yellow]"
         )
-    out.give(state, *shown)
+    _give(arguments, state, *shown)
 
 
 _COMMANDS = {
@@ -327,13 +322,12 @@ def main(args: Sequence[str] | None = None) -> int:
     arguments = parser.parse_args(words[:at])
     if arguments.command == "remove" and not arguments.yes and not sys.stdin.isatty():
         parser.error("remove asks on a terminal, and there is none: give --yes")
-    out = _Output(arguments.json, terminal())
 
     def work() -> int:
         if arguments.command == "active":
-            _active(arguments, words[at:], out)
+            _active(arguments, words[at:])
         else:
-            _COMMANDS[arguments.command](arguments, CalibrationStore(arguments.tools_dir), out)
+            _COMMANDS[arguments.command](arguments, CalibrationStore(arguments.tools_dir))
         return EXIT_OK
 
     return run_command("tools", work)
