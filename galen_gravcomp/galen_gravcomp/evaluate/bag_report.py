@@ -36,7 +36,7 @@ _RMSE = {
     "noise": "noise of one reading",
 }
 _PARTS = {"load": "another load", "offset": "an offset", "drift": "drift", "rest": "unexplained"}
-_STAMP_COUNTS = ("gaps", "missing", "jumps", "duplicates", "out_of_order", "unstamped")
+_STAMP_COUNTS = ("gaps", "missing", "jumps", "duplicates", "out_of_order")
 
 
 def report(result: BagEvaluation) -> Report:
@@ -106,7 +106,7 @@ def to_json(result: BagEvaluation) -> dict[str, Any]:
             topic: {
                 "messages": stamps.count,
                 "rate_hz": number_or_none(stamps.rate_hz),
-                **{name: getattr(stamps, name) for name in _STAMP_COUNTS},
+                **{name: getattr(stamps, name) for name in (*_STAMP_COUNTS, "unstamped")},
                 "delay_s": [number_or_none(value) for value in stamps.delay_s],
             }
             for topic, stamps in (
