@@ -9,6 +9,7 @@ import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import WrenchStamped
 from numpy.typing import NDArray
+from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 _NS_PER_S = 1_000_000_000
@@ -50,3 +51,11 @@ def fill_wrench(message: WrenchStamped, wrench: NDArray[np.float64]) -> None:
     """Write a wrench (6,) in N and N·m into `message`; its header stays as it is."""
     force, torque = message.wrench.force, message.wrench.torque
     force.x, force.y, force.z, torque.x, torque.y, torque.z = (float(value) for value in wrench)
+
+
+def publisher_nodes(node: Node, topic: str) -> list[str]:
+    """Return the full names of the nodes that publish a topic, one a publisher, sorted."""
+    return sorted(
+        f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+        for info in node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
+    )

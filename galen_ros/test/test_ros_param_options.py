@@ -41,10 +41,3 @@ def test_what_the_node_would_reject_is_a_usage_error(arguments, capsys):
         parse(*arguments)
     assert end.value.code == 2
     assert arguments[0] in capsys.readouterr().err
-
-
-def test_the_help_shows_default_and_meaning(capsys):
-    with pytest.raises(SystemExit):
-        parse("--help")
-    text = " ".join(capsys.readouterr().out.split())
-    assert "length of the average, 100 % of it (default 0.5)" in text

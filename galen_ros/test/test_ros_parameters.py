@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import pytest
 from galen_ros.node.parameters import declare_parameters, warn_of_unknown_parameters
 from galen_ros.node.testing import Harness, parameters
-from galen_ros.parameters import ParameterError, markdown_table, param
+from galen_ros.parameters import ParameterError, param
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -95,16 +95,6 @@ def test_changes_at_run_time_are_checked_and_told(harness):
     # gain_limit 0.6 fits the default gain of 0.5, but not the 0.7 that is active.
     assert not set_to("gain_limit", 0.6).successful
     harness.remove(node)
-
-
-def test_markdown_table():
-    lines = markdown_table(Example).splitlines()
-    assert lines[0] == "| name | type | default | range | meaning |"
-    assert lines[2] == "| `rate_hz` | float | 500.0 | 1.0 to 2000.0 | sample rate in Hz |"
-    assert lines[5] == "| `weights` | float list | [1.0, 2.0] | at least 0.0 | weights |"
-    assert lines[7] == "| `strict` | bool | true |  | reject what is odd |"
-    assert lines[8] == "| `gain` | float | 0.5 | 0.0 to 1.0 | gain (at run time) |"
-    assert len(lines) == 10
 
 
 def test_only_a_misspelt_parameter_gives_a_warning(harness):

@@ -9,10 +9,10 @@ from galen_model.arm.arm import Arm
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.subscription import Subscription
-from rclpy.topic_endpoint_info import TopicEndpointInfo
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from galen_ros.goal.procedure import MoveTo
+from galen_ros.messages import publisher_nodes
 
 DISCOVERY_S = 5.0
 """A driver that runs may take so long to be found: DDS repeats a lost announcement after 3 s."""
@@ -81,15 +81,10 @@ class ArmPublisher:
         )
 
     def _others_text(self) -> str:
-        infos = self._node.get_publishers_info_by_topic(self.topic_name)
-        names = _node_names(infos)
+        names = publisher_nodes(self._node, self.topic_name)
         names.remove(self._node.get_fully_qualified_name())  # once: another may be called the same
         who = f"; it could be {' or '.join(names)}" if names else ""
         return f"another node commands the arm on {self.topic_name}{who}"
-
-
-def _node_names(infos: Sequence[TopicEndpointInfo]) -> list[str]:
-    return sorted(f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in infos)
 
 
 class PublisherWatch:
@@ -107,10 +102,9 @@ class PublisherWatch:
     def several(self) -> str:
         """Return which topic has more than one publisher; empty when none has."""
         for topic in self._topics:
-            infos = self._node.get_publishers_info_by_topic(topic)
-            if len(infos) > 1:
-                names = _node_names(infos)
-                text = f"{len(infos)} publishers on {topic}: {', '.join(names)}"
+            names = publisher_nodes(self._node, topic)
+            if len(names) > 1:
+                text = f"{len(names)} publishers on {topic}: {', '.join(names)}"
                 if len(set(names)) < len(names):
                     # DDS is not notified of a kill -9; it finds out by its own time-out.
                     text += "; a driver that was killed is forgotten after some 20 s"

@@ -14,13 +14,12 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
 from galen_ros.cdr import JointStateError, JointWire, RawWrench, UnreadableError, WrenchWire
-from galen_ros.messages import STREAM
+from galen_ros.messages import STREAM, publisher_nodes
 from galen_ros.node.diagnostics import Level, Status
 from galen_ros.node.managed_node import ManagedNode
 from galen_ros.stream.monitor import Severity, State, StreamMonitor
 from galen_ros.stream.pairing import WrenchPairing
 from galen_ros.stream.samples import Rejected
-from galen_ros.stream.watches import Publishers
 
 PushWrench = Callable[[int, Sequence[float], str, object], list[Any]]
 
@@ -173,17 +172,10 @@ class StreamNode(ManagedNode):
         )
         if why:
             self._emit(self._pairing.restart(why))
-        self._name_publishers(topic, self._monitor.publishers[topic])
+        self._monitor.publishers[topic].name(publisher_nodes(self, topic))
         self._count_outputs()
         self._emit(self._monitor.review(now_s))
         self._announce()
-
-    def _name_publishers(self, topic: str, publishers: Publishers) -> None:
-        nodes = [
-            f"{info.node_namespace.rstrip('/')}/{info.node_name}"
-            for info in self.get_publishers_info_by_topic(self.resolve_topic_name(topic))
-        ]
-        publishers.name(sorted(nodes))
 
     def _count_outputs(self) -> None:
         """Count the publishers, this node's too, where it must be alone: no event tells of them."""
@@ -193,7 +185,7 @@ class StreamNode(ManagedNode):
         before = outputs.listed
         outputs.listed = self.count_publishers(self.resolve_topic_name(topic))
         if outputs.listed != before or outputs.several:
-            self._name_publishers(topic, outputs)
+            outputs.name(publisher_nodes(self, topic))
 
     def _on_restart(self, why: str) -> None:
         self._monitor.on_restart(why, time.monotonic())
@@ -216,7 +208,7 @@ class StreamNode(ManagedNode):
             self._monitor.tick(now_s)
             for topic, publishers in self._monitor.publishers.items():
                 if publishers.several:  # names come later than the publishers themselves
-                    self._name_publishers(topic, publishers)
+                    publishers.name(publisher_nodes(self, topic))
             self._count_outputs()
             self._emit(self._monitor.review(now_s))
         self._watch(now_s)
