@@ -57,11 +57,9 @@ def find_border(
 ) -> Border:
     """Find it among poses in visiting order, from gravity (n, 3) in the sensor, m/s^2.
 
-    wrench, std_of_mean (n, 6).
-
-    `left_out` (n,) marks poses that are left out next to the border (at home):
-    borders with nothing but such poses between them are one and the same.
-    Raises IdentificationError for too few poses. How clear the border is, is for the caller to judge.
+    wrench, std_of_mean (n, 6); `left_out` (n,) marks poses that are left out next to the border (at
+    home): borders with nothing but such poses between them are one and the same.
+    Raises IdentificationError for too few poses. The caller judges how clear the border is.
     """
     count = len(gravity)
     if count < 2 * MIN_POSES:
