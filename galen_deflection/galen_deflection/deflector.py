@@ -281,7 +281,7 @@ class GravcompState(NamedTuple):
         )
 
     def change_since(self, before: GravcompState) -> str:
-        """What changed of the wrench's meaning, in words; empty if nothing did."""
+        """Return what changed of the wrench's meaning, in words; empty if nothing did."""
         if self.tool != before.tool:
             return f"gravcomp's tool changed from '{before.tool}' to '{self.tool}'"
         if self.calibrated_at != before.calibrated_at:

@@ -36,7 +36,7 @@ _OF_BAGS = ("tool", "tool_beside", "marker_offset", "plots")
 _OF_KINDS = ("kinds", "split")
 _OF_TABLES = (
     *("columns", "time_scale", "opposite", "torque_gear"),
-    *("terms", "standstill_rad_s", "unlike", "blocks"),
+    *("terms", "unlike", "blocks"),
 )
 
 

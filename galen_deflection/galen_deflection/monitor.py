@@ -118,5 +118,5 @@ class DeflectorMonitor(StreamMonitor):
 
 
 def _size(covariance: Array) -> float:
-    """Standard deviation of the length of a vector with this covariance (3, 3), about zero."""
+    """Return the standard deviation of the length of a vector of this covariance (3, 3)."""
     return float(np.sqrt(np.trace(covariance)))

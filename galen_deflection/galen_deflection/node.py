@@ -152,7 +152,7 @@ class DeflectionNode(StreamNode):
     # The compensation
 
     def _resolved(self, name: str) -> str:
-        """The name of a node as it is on /diagnostics."""
+        """Return the name of a node as it is on /diagnostics."""
         if not name or name.startswith("/"):
             return name.lstrip("/")
         return f"{self.get_namespace().rstrip('/')}/{name}".lstrip("/")
@@ -190,7 +190,7 @@ class DeflectionNode(StreamNode):
 
 
 def _model_of(file: str) -> DeflectionModel | None:
-    """The model of a file, None for no file; raises DeflectionError that names it."""
+    """Read a file's model, None for no file; raises DeflectionError that names it."""
     return read_model(Path(file).expanduser()) if file else None
 
 

@@ -231,27 +231,6 @@ def test_a_cancel_leaves_a_readable_bag_named_as_unfinished(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_push_beyond_the_limit_stops_the_arm(tmp_path):
-    """The hand of another script pushes, harder than anybody asked for."""
-    with Harness() as harness:
-        script = [0.0, 60.0, 15.0, 0.0, 0.0, 0.0, 0.0, 0.0]
-        world = CollectionWorld(
-            harness,
-            tmp_path,
-            driver={"hand_pushes": script, "hand_frames": ["base"]},
-            max_force_n=12.0,
-        )
-        handle = world.send()
-        world.wait_for_state(State.UNTOUCHED)
-        harness.call_in_executor(world.driver._plant.start_hand)
-        status, result = world.result(handle)
-        assert status == GoalStatus.STATUS_ABORTED
-        assert result.error_code == ErrorCode.OVERLOAD
-        assert "the limits are 12 N" in result.error_msg
-        assert not world.driver._plant.moving
-
-
-@pytest.mark.slow
 def test_the_client_from_end_to_end_and_its_ctrl_c(tmp_path):
     def client(harness, *arguments):
         return subprocess.Popen(

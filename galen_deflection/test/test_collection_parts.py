@@ -143,27 +143,6 @@ def test_a_push_that_is_not_as_asked_says_why(parts, aside, words):
     assert watch.outcome and words in watch.outcome
 
 
-def test_it_is_asked_for_only_once_the_tool_is_free():
-    watch, states = watched(steps((-1, 10), (0, 1)))
-    assert states == [State.RELEASE, State.PUSH]
-    assert watch.asked
-
-
-def test_a_touch_while_resting_starts_the_rest_anew():
-    rest = [(0, 8), (-1, 3), (0, 8)]
-    watch, states = watched(steps((0, 2), (-5, 18), *rest))
-    assert watch.outcome is None
-    assert states[-4:] == [State.RELEASE, State.REST, State.RELEASE, State.REST]
-
-
-def test_a_torque_is_judged_by_the_torque():
-    wanted = WantedPush(5, 1, 0.5)
-    loads = steps((0, 5), (0.5, 20), (0, 20), axis=5)
-    loads[5:25, 0] = 3.0  # a hand on the tip holds it, too
-    watch, _ = watched(loads, wanted)
-    assert watch.outcome == ""
-
-
 # --- markers ------------------------------------------------------------------------------------
 
 
@@ -208,13 +187,6 @@ def test_a_finished_folder_gets_its_name_at_the_end(tmp_path):
     assert sorted(p.name for p in folder.path.iterdir()) == ["collection.json", "tool.json"]
     assert json.loads((folder.path / "collection.json").read_text()) == {"a": 1}
     assert read_calibration(folder.path / "tool.json").tip_m == pytest.approx(TOOL.tip_m)
-
-
-def test_one_that_recorded_nothing_goes(tmp_path):
-    folder = CollectionFolder(tmp_path, "monday")
-    folder.make(TOOL)
-    folder.discard()
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("name", ["../x", "", "a/b", "/etc/x", "x" * 65, "a b", "x.unfinished"])
@@ -263,15 +235,3 @@ def test_the_default_parameters_are_a_collection_like_the_report_s():
     made = make_plan(parameters, np.asarray(TOOL.tip_m))
     assert (len(made.positions), made.sets) == (4, 2)  # eight sets
     assert made.total == 8 * 18
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"positions": (1.0,) * 5, "sets": 1}, "position 1: delta_x = 1"),
-        ({"forces_n": (-3.0,)}, "forces_n"),
-    ],
-)
-def test_parameters_that_can_not_be_are_rejected(changes, words):
-    with pytest.raises(PlanError, match=words):
-        CollectionParameters(**changes).validate()

@@ -45,7 +45,7 @@ POSITIONS = [[0.0, 0.0, 0.408, 0.0, 0.0], [0.02, -0.02, 0.42, 0.3, -0.2]]
 
 
 class World:
-    """An arm, a hand, a recorder and a procedure; `run` until it ends or `until` says so."""
+    """An arm, a hand, a recorder and a procedure; `run` until it ends or `until` holds."""
 
     def __init__(
         self, settings=SETTINGS, *, torques=(), sets=1, by_service=False, only=2, places=2

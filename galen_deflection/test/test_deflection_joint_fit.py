@@ -1,4 +1,4 @@
-"""Joints of known parameters and of other laws than the models': what a fit finds, and how well."""
+"""Joints of known parameters, and with friction that no model has: what a fit finds."""
 
 from dataclasses import replace
 
@@ -13,8 +13,6 @@ from galen_model.transmission import (
     PartsError,
     Scales,
     design,
-    encoder_step,
-    noise_of,
     swapped,
     time_blocks,
     whole_runs,
@@ -152,17 +150,6 @@ def test_swapped_ends_are_told():
     assert not swapped([run])
     assert swapped([replace(run, motor=link, link=motor)])
     assert not swapped([spring_run("run", 1, 1e-4)])
-
-
-def test_encoders_steps_and_noise():
-    time_s, motor = motion(20.0, 1)
-    step = 2.0 * np.pi / 4000.0
-    assert encoder_step(np.round(motor / step) * step) == pytest.approx(step, rel=1e-6)
-    assert encoder_step(motor) == 0.0
-    stepped = JointRun("run", time_s, motor, np.round(motor / step) * step, time_s)
-    noise = noise_of([stepped])
-    assert noise.motor_step == 0.0
-    assert noise.floor == pytest.approx(step / np.sqrt(12.0), rel=0.3)
 
 
 def test_runs_that_may_train_for_each_other():

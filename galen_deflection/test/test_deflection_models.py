@@ -8,7 +8,6 @@ from deflection_synthetic import NOISE, POSITIONS, TIP_M, Arm, in_sensor, record
 from galen_deflection.errors import FitError
 from galen_deflection.models.file import KINDS
 from galen_deflection.models.interface import FitSettings, FittedRange
-from galen_deflection.models.least_squares import BLOCK_S, blocks, folds
 from galen_deflection.models.spring_model import SpringBasis, SpringRun
 from galen_deflection.models.springs import Springs, kinds
 from galen_model.arm.galen import GALEN
@@ -192,21 +191,6 @@ def test_residuals_of_a_wrong_model_are_its_discrepancy_and_enlarge_the_covarian
     assert np.all(np.sqrt(np.diag(few.discrepancy)) > 0.3 * NOISE)
     right = fit("joint_stiffness", recording(WORN, seed=1))
     assert np.all(np.sqrt(np.diag(right.discrepancy)) < 0.15 * NOISE)
-
-
-def test_blocks_and_folds_never_mix_places(coarse):
-    twice = recording(WORN, sets=2, rate_hz=20.0)
-    for samples in (coarse, twice):
-        parts = blocks(samples)
-        assert [part.start for part in parts[1:]] == [part.stop for part in parts[:-1]]
-        assert parts[0].start == 0 and parts[-1].stop == len(samples)
-        labels = folds(samples, parts)
-        assert len(np.unique(labels)) == len(np.unique(samples.segment))
-        for part in parts:
-            assert np.ptp(samples.segment[part]) == 0
-            assert np.ptp(samples.stamp_ns[part]) * 1e-9 <= BLOCK_S
-    alone = recording(WORN, positions=POSITIONS[:1])
-    assert len(np.unique(folds(alone, blocks(alone)))) == 4
 
 
 # --- the interface ------------------------------------------------------------------------------

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from deflection_synthetic import POSITIONS, Arm, recording
+from deflection_synthetic import Arm, recording
 from galen_deflection.errors import FitError
 from galen_deflection.models.interface import FitSettings, PredictedSamples
 from galen_deflection.models.network import PacedNet, RecurrentNet, Scaling, Weights
@@ -16,7 +16,6 @@ from galen_deflection.models.network_training import (
     fit_network,
     hold_out,
     interpolated,
-    sequences,
     train,
 )
 from galen_model.play import PlayOperators
@@ -128,21 +127,6 @@ def test_stamps_that_jump_keep_the_memory(jump_s):
     found = PacedNet(net, 0.04).run(jumped, load)
     assert np.abs(expected).max() > 0.5
     np.testing.assert_allclose(found, expected, atol=0.06)
-
-
-def test_every_sample_is_in_one_sequence():
-    samples = recording(sets=1, rate_hz=100.0, positions=POSITIONS[:2], axes=(0,))
-    inputs = np.arange(len(samples), dtype=float)[:, None]
-    samples = replace(samples, deflection=np.tile(inputs, (1, 6)))
-    use = np.ones(len(samples), bool)
-    use[40:47] = False
-    found = sequences(samples, inputs, use, 0.04)
-    assert len(found) == 8
-    for one in found:
-        np.testing.assert_allclose(np.diff(one.inputs[:, 0]), 4.0, atol=1e-6)
-        np.testing.assert_allclose(one.targets[one.use][:, :1], one.inputs[one.use])
-    seen = np.concatenate([one.targets[one.use, 0] for one in found])
-    np.testing.assert_allclose(np.sort(seen), np.flatnonzero(use), atol=1e-6)
 
 
 def test_held_out_are_repetitions_and_every_position_remains(pushed):

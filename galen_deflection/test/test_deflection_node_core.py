@@ -229,20 +229,6 @@ def loaded_rig(**settings):
     return rig
 
 
-def test_hysteresis_leaves_something_and_reset_forgets_it():
-    rig = loaded_rig()
-    left = rig.step(0 * PUSH).predicted
-    assert np.linalg.norm(left.mean[:3]) > 1e-5
-    assert rig.deflector.forget("~/reset was called") and rig.forgotten == ["~/reset was called"]
-    fresh = rig.step(0 * PUSH).predicted
-    np.testing.assert_array_equal(fresh.mean, 0.0)
-    assert np.all(np.diag(fresh.covariance) > np.diag(left.covariance))
-    np.testing.assert_allclose(fresh.mean, Rig().step(0 * PUSH).predicted.mean)
-    # what was left lies within what it says of it
-    off = left.mean @ np.linalg.solve(fresh.covariance, left.mean)
-    assert off < 3.0**2 * 6
-
-
 def test_forgetting_without_loads_is_none():
     rig = Rig()
     assert not rig.deflector.forget("again") and rig.forgotten == []
@@ -305,7 +291,7 @@ def test_started_under_load_it_does_not_freeze_a_false_offset():
             stds.append(np.sqrt(np.diag(predicted.covariance)))
     errors, stds = np.abs(errors), np.array(stds)
     assert errors[0].max() > 1e-5, "it can't know"
-    assert np.all(errors[0] < 3.0 * stds[0]), "and says so"
+    assert np.all(errors[0] < 3.0 * stds[0]), "and its covariance covers it"
     assert np.all(errors[-1] < 1e-12), "nothing false is kept"
     assert late.outputs[-1].predicted.start is None
     assert late.outputs[0].predicted.start is not None

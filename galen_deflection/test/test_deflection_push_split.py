@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from deflection_pushes import NOISE, TIP, make_samples, pushes_along
 from galen_deflection.errors import SplitError
-from galen_deflection.measurement.samples import DeflectionSamples, find_pushes, joined, no_load
+from galen_deflection.measurement.samples import DeflectionSamples, find_pushes, joined
 from galen_deflection.models.interface import FitSettings
 from galen_deflection.models.springs import tip_wrench
 from galen_deflection.scoring.cross_check import (
@@ -72,20 +72,6 @@ def test_every_sample_is_checked_once_and_pushes_stay_whole_with_the_pause_after
         assert push.rest.stop > push.rest.start
         assert [split.check[inside].all() for split in splits].count(True) == 1
         assert [split.check[inside].any() for split in splits].count(True) == 1
-
-
-def test_what_is_checked_is_scored_push_by_push(samples):
-    splits = push_splits(samples)
-    checked = checked_samples(samples, splits)
-    assert np.array_equal(checked.stamp_ns, samples.stamp_ns)
-    assert len(np.unique(checked.segment)) == 18
-    # With the whole's own limits, as a part has a smaller largest load; see cross_check.
-    limits = no_load(tip_wrench(samples))
-    found = find_pushes(checked, tip_wrench(checked), limits)
-    assert [push.peak for push in found] == [push.peak for push in found_pushes(samples)]
-    one = checked_samples(samples, splits[:1])
-    assert np.array_equal(one.deflection, samples.deflection[splits[0].check])
-    assert len(find_pushes(one, tip_wrench(one), limits)) == len(np.unique(one.segment))
 
 
 def test_a_cut_between_two_checked_stretches_is_seen_even_where_both_are_unloaded():

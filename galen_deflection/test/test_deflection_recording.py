@@ -357,16 +357,6 @@ def test_nothing_is_interpolated_over_a_gap_in_the_wrench(tmp_path):
     assert not np.any((times > 1.91) & (times < 2.19))
 
 
-def test_a_gap_in_the_joints_while_the_arm_stands_is_no_interpolation_either(tmp_path):
-    def lose(topics):
-        topic = topics[JOINTS]
-        topic.keep((topic.seconds() < 2.0) | (topic.seconds() > 2.2))
-
-    recording = tampered(tmp_path, lose)
-    times = seconds(recording)
-    assert not np.any((times > 2.01) & (times < 2.19))
-
-
 def test_repeated_and_late_stamps_are_left_out(tmp_path):
     def spoil(topics):
         stamp_ns = topics[TOOL_POSE].stamp_ns

@@ -123,7 +123,7 @@ def main() -> None:
 
 
 def result_fields(result: Any) -> dict[str, Any]:
-    """A CollectPushes.Result for JSON, which has no NaN."""
+    """Return a CollectPushes.Result for JSON, which has no NaN."""
     content = result_to_dict(result)
     if not np.all(np.isfinite(result.calibration_shift)):
         content["calibration_shift"] = None

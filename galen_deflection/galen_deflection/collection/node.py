@@ -361,7 +361,7 @@ def summary(
 
 
 def _worse(end: Finished, what: str) -> Finished:
-    """The end, when its recording can't be put away, too; the first error goes first."""
+    """Return the end with another error; the first error goes first."""
     if end.error_code == ErrorCode.NONE:
         return replace(end, error_code=ErrorCode.WRITE_FAILED, error_msg=what)
     return replace(end, error_msg=f"{end.error_msg}; {what}")

@@ -219,7 +219,7 @@ def _check_load(
     settings: CollectionParameters,
     arm: Arm,
 ) -> None:
-    """The sensor must bear it."""
+    """Raise PlanError for a push that the sensor must not read."""
     rotation, tip = arm.tip_pose(joints, tip_m)
     _, origin = arm.sensor_pose(joints)
     read = move_wrench(push.wrench, rotation.T, rotation.T @ (tip - origin))

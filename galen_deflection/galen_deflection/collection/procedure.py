@@ -395,7 +395,7 @@ class CollectionProcedure(GoalProcedure):
             )
 
     def _check_stamps(self) -> None:
-        """A jump breaks what is being watched."""
+        """Begin anew where stamps jumped."""
         if self._clock.jumps == self._seen_jumps:
             return
         self._seen_jumps = self._clock.jumps
@@ -426,7 +426,7 @@ class CollectionProcedure(GoalProcedure):
     # ---- motion
 
     def _note_arrival(self, clock: StampClock) -> None:
-        """The wrench comes by way of another node, and so from a time when the arm still moved."""
+        # The wrench comes by way of another node, and so from a time when the arm still moved.
         assert clock.stamp_ns is not None
         self._not_before_ns = clock.stamp_ns
 

@@ -174,7 +174,7 @@ def _visits(recording: PushRecording) -> Sequence[np.ndarray]:
 
 
 def _noise(deflection: Array, recording: PushRecording) -> tuple[Array, float]:
-    """Standard deviation (6,) of one sample about its untouched phase's mean, over all phases.
+    """Return the standard deviation (6,) of one sample about its untouched phase's mean.
 
     Without samples that are far off, and what it is with them over that from sample to sample, at
     most of the axes: 1 for white noise, more for what goes on and for what is far off.

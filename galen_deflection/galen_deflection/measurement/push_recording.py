@@ -313,7 +313,7 @@ def base_stands(track: MarkerTrack, start_ns: int) -> tuple[list[BaseStand], lis
 
 
 def _noise(off: Array) -> Array:
-    """Standard deviation (6,) of one sample from successive differences: a move doesn't count."""
+    """Return the standard deviation (6,) of one sample, by differences: a move doesn't count."""
     return np.asarray(1.4826 * np.median(np.abs(np.diff(off, axis=0)), axis=0) / np.sqrt(2.0))
 
 

@@ -54,7 +54,7 @@ class DeflectionSamples:
     arm: Arm = GALEN
 
     def __len__(self) -> int:
-        """Number of samples."""
+        """Return the number of samples."""
         return len(self.stamp_ns)
 
     def rows(self, rows: np.ndarray | slice) -> DeflectionSamples:

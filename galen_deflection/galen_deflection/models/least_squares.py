@@ -177,7 +177,7 @@ def solve(information: Array, right: Array, parameters: Sequence[Parameter]) -> 
 
 
 def _not_identifiable(information: Array, parameters: Sequence[Parameter]) -> list[int]:
-    """The parameters that are hardly better known by the samples than before.
+    """Return the parameters that are hardly better known by the samples than before.
 
     In units of what was known, a combination whose standard deviation is above MAX_RELATIVE_STD is
     not identifiable, and all that have a share in it are named. What has no prior is left out: of
@@ -244,7 +244,7 @@ def held_out_cost(totals: Sums, basis: SpringBasis) -> Array:
 def _rows(
     basis: SpringBasis, samples: DeflectionSamples, parts: Sequence[slice]
 ) -> Iterator[tuple[slice, Rows]]:
-    """The blocks in their order, each segment in one run."""
+    """Yield the blocks in their order, each segment in one run."""
     beginnings = {segment.start for segment in samples.segments()}
     for part in parts:
         if part.start in beginnings:

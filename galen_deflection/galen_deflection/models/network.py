@@ -244,7 +244,7 @@ class PacedNet:
         return state
 
     def _state_at(self, stamp_ns: int) -> Array:
-        """The state at a stamp, which only grows: what lies further back is dropped."""
+        """Return the state at a stamp, which only grows: what lies further back is dropped."""
         past = self._past
         while len(past) > 1 and past[1][0] <= stamp_ns:
             past.popleft()

@@ -326,7 +326,7 @@ class _Net:
 
 
 def _alike(series: Sequence[Series]) -> Iterator[list[Series]]:
-    """Groups of similar lengths: beside a long sequence, short ones would be mostly padding."""
+    """Yield groups of similar lengths: short ones beside a long one would be mostly padding."""
     left = sorted(series, key=lambda s: len(s.inputs))
     while left:
         longest = len(left[-1].inputs)

@@ -161,7 +161,7 @@ class _Candidate(NamedTuple):
 
 
 def _chosen(grid: SpringBasis, totals: Sums) -> _Candidate:
-    """The part of the grid that held-out folds choose: first the form, then how fine."""
+    """Return the part of the grid that held-out folds choose: first the form, then how fine."""
     springs = tuple(kind.name for kind in grid.kinds)
     places = [springs]
     if PLATFORM in grid.columns:  # the displacements that add up at the tip: contract, section 2
@@ -186,7 +186,7 @@ def _chosen(grid: SpringBasis, totals: Sums) -> _Candidate:
 
 
 def _first_good(costs: Array, share: float) -> int:
-    """The first of (k, folds) whose cost is the least but for errors, or a share of the least.
+    """Return the first of (k, folds) as cheap as the least but for errors, or a share of it.
 
     A single fold, which nothing was fitted to, decides nothing: the first.
     """

@@ -238,7 +238,7 @@ class SpringRun:
         return np.asarray(by_source @ by_source.transpose(0, 2, 1))
 
     def _played(self, inputs: Array) -> tuple[Array, Array]:
-        """Outputs and what is unknown of them, (n, m) each, of all plays."""
+        """Return outputs and what is unknown of them, (n, m) each, of all plays."""
         if len(self._plays) == 1:  # nearly always, and a copy costs as much as a play
             played = self._plays[0][1].run(inputs)
             return played.output, played.unknown

@@ -191,7 +191,7 @@ class Springs:
         return np.concatenate([carriages, rods], axis=2)
 
     def _rod_directions(self, platform: Array) -> Array:
-        """Unit vectors (n, 6, 3) from carriage to platform, a rod each."""
+        """Return unit vectors (n, 6, 3) from carriage to platform, a rod each."""
         delta = self._delta
         across = platform[:, None, :2] - delta.feet_m
         squared = delta.rod_length_m**2 - np.sum(across**2, axis=2)
@@ -235,7 +235,7 @@ def _product(columns: Columns, other: Columns) -> Columns:
 
 
 def _about(axis: Vector, angle: float) -> Columns:
-    """The rotation about a unit axis, by Rodrigues' formula."""
+    """Return the rotation about a unit axis, by Rodrigues' formula."""
     a, b, c = axis
     cos, sin = math.cos(angle), math.sin(angle)
     rest = 1.0 - cos

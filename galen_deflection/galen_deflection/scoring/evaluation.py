@@ -218,7 +218,7 @@ def _cross_checked(
     splits: Sequence[Split],
     quiet: bool,
 ) -> tuple[dict[str, Checked], dict[str, str]]:
-    """What each kind came to, or the reason why it could not be fitted."""
+    """Return what each kind came to, or the reason why it could not be fitted."""
     checked: dict[str, Checked] = {}
     errors: dict[str, str] = {}
     with progress(len(splits) * len(kinds), "fit", quiet=quiet) as bar:

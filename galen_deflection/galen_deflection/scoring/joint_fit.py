@@ -226,7 +226,7 @@ def _held_out_cost(sums: CellSums, parts: Sequence[int], terms: Sequence[str]) -
 
 
 def _first_good(costs: Sequence[float]) -> int:
-    """The first whose cost is the least, or within a hundredth of it."""
+    """Return the first whose cost is the least, or within a hundredth of it."""
     array: Array = np.asarray(costs)
     return int(np.argmax(array <= (1.0 + _WORTH_IT) * array.min()))
 
@@ -251,15 +251,13 @@ class JointScore(NamedTuple):
 class Comparison:
     """Scores by model, in the order of the table, each on parts that it was not fitted to.
 
-    common: terms that all models but the constant have. standstill_rad_s: where the motor's
-    direction fades, or None as `Scales.of`. lag_std: of all readings, rad. predictions: by model,
-    lags (n,) of each run. chosen: by part, the form that was `ours`.
+    common: terms that all models but the constant have. lag_std: of all readings, rad.
+    predictions: by model, lags (n,) of each run. chosen: by part, the form that was `ours`.
     """
 
     runs: list[JointRun]
     parts: Parts
     common: tuple[str, ...]
-    standstill_rad_s: float | None
     noise: LagNoise
     lag_std: float
     predictions: dict[str, list[Array]]
@@ -271,7 +269,6 @@ def compare(
     runs: list[JointRun],
     parts: Parts,
     common: tuple[str, ...] = (),
-    standstill_rad_s: float | None = None,
     on_part: Callable[[], object] = lambda: None,
 ) -> Comparison:
     """Fit and check all models; on_part: called after each part. Raises FitError."""
@@ -280,7 +277,7 @@ def compare(
     count = len(parts.names)
     for part in range(count):
         trained_on = parts.trained_on(part)
-        scales = Scales.of(runs, parts.rows(trained_on), WINDOW_S, standstill_rad_s)
+        scales = Scales.of(runs, parts.rows(trained_on), WINDOW_S)
         designs = [design(run, scales) for run in runs]
         sums = CellSums.of(runs, parts, designs)
         forms, best = choose(sums, trained_on, common)
@@ -302,7 +299,7 @@ def compare(
         interval = _interval(drawn)
         scores[name] = JointScore(rmse, interval, rmse / lag_std, np.sqrt(square / readings))
     return Comparison(
-        runs, parts, common, standstill_rad_s, noise_of(runs), lag_std, predictions, scores,
+        runs, parts, common, noise_of(runs), lag_std, predictions, scores,
         tuple(chosen),
     )  # fmt: skip
 
@@ -374,7 +371,7 @@ def estimate(comparison: Comparison, form: str | None = None) -> JointParameters
     """Fit a form, or the one that hold-outs choose among all parts, to all readings."""
     runs, parts, common = comparison.runs, comparison.parts, comparison.common
     every = list(range(len(parts.names)))
-    scales = Scales.of(runs, parts.rows(every), WINDOW_S, comparison.standstill_rad_s)
+    scales = Scales.of(runs, parts.rows(every), WINDOW_S)
     sums = CellSums.of(runs, parts, [design(run, scales) for run in runs])
     forms, best = choose(sums, every, common)
     best = best if form is None else forms[form]

@@ -7,7 +7,7 @@ from typing import Any
 
 from galen_bags.arrays.joint_table import add_column_options, joint_columns, read_joint_runs
 from galen_model.transmission import COMMON, swapped, time_blocks, whole_runs
-from galen_ros.command import EXIT_OK, positive, print_json, progress, terminal, whole
+from galen_ros.command import EXIT_OK, print_json, progress, terminal, whole
 from rich.table import Table
 
 from galen_deflection.scoring.joint_fit import (
@@ -60,13 +60,6 @@ def add_joint_options(parser: argparse.ArgumentParser) -> None:
         " its velocity); comma-separated (default: none)",
     )
     group.add_argument(
-        "--standstill-rad-s",
-        type=positive,
-        metavar="V",
-        help="the direction of motion fades below this velocity (default: a twentieth of the"
-        " fastest)",
-    )
-    group.add_argument(
         "--unlike",
         metavar="REGEX",
         help="fit only to runs whose file's name differs from the checked one's in every group of"
@@ -90,9 +83,7 @@ def evaluate_tables(arguments: argparse.Namespace) -> int:
     else:
         parts = time_blocks(runs, arguments.blocks or _BLOCKS)
     with progress(len(parts.names), "part", quiet=arguments.json) as bar:
-        comparison = compare(
-            runs, parts, arguments.terms or (), arguments.standstill_rad_s, bar.update
-        )
+        comparison = compare(runs, parts, arguments.terms or (), bar.update)
     label = arguments.inputs[0].stem
     parameters = estimate(comparison)
     if arguments.json:
