@@ -23,7 +23,6 @@ from galen_bags.many import run_many
 from galen_model.arm.galen import GALEN, WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.evidence.held_out import BlockRows, Effects
-from galen_model.files.atomic_file import save_figure
 from galen_model.files.calibration_file import read_calibration
 from galen_model.transmission import time_blocks, whole_runs
 from galen_ros.command import (
@@ -56,7 +55,7 @@ from galen_diagnosis.report.report import (
     print_overview,
     write_output,
 )
-from galen_diagnosis.tables.conclusion import BlockDiagnosis, diagnose_blocks
+from galen_diagnosis.tables.conclusion import diagnose_blocks
 from galen_diagnosis.tables.joint_rows import prepare_joint
 from galen_diagnosis.tables.table_rows import prepare_table
 
@@ -119,13 +118,14 @@ class Job:
         return diagnosis
 
 
-def _draw(found: Diagnosis | BlockDiagnosis, folder: Path) -> Mapping[str, Path]:
-    from galen_diagnosis.report.pictures import block_figure, write_pictures  # slow to import
+def _draw(diagnosis: Diagnosis, folder: Path) -> Mapping[str, Path]:
+    from galen_diagnosis.report.pictures import write_pictures  # slow to import
 
-    if isinstance(found, Diagnosis):
-        return write_pictures(found, folder)
-    figure = block_figure(found.rows, found.before, found.after)
-    return {"time": save_figure(figure, folder / "time.png")}
+    return write_pictures(diagnosis, folder)
+
+
+def _no_pictures(_folder: Path) -> Mapping[str, Path]:
+    return {}
 
 
 def build_parser(kind: Kind = "recording") -> argparse.ArgumentParser:
@@ -306,14 +306,14 @@ def _tables(kind: Kind, arguments: argparse.Namespace, console: Console) -> int:
     answers = []
     for path, folder in folders.items():
         with ProgressLine(quiet=arguments.json) as line:
-            found = diagnose_blocks(
+            answer = diagnose_blocks(
                 _name(path), *_prepared(kind, path, arguments), progress=line.show
             )
-        draw = None if arguments.no_report else partial(_draw, found)
-        write_output(found.answer, folder, draw=draw, overwrite=arguments.overwrite)
+        draw = None if arguments.no_report else _no_pictures
+        write_output(answer, folder, draw=draw, overwrite=arguments.overwrite)
         if not arguments.json:
-            _print(found.answer, folder, console)
-        answers.append(found.answer)
+            _print(answer, folder, console)
+        answers.append(answer)
     if arguments.json:
         content = [answer.to_json() for answer in answers]
         print_json(content[0] if len(content) == 1 else content)

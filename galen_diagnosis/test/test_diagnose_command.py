@@ -15,7 +15,7 @@ from galen_bags.formats.writer import BagWriter
 from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.observation.recording import DiagnosticRecording
 from galen_diagnosis.report import report
-from galen_model.arm.galen import JOINT_NAMES
+from galen_model.arm.galen import GALEN
 from galen_ros.cdr import joint_state_bytes, wrench_bytes
 from matplotlib import pyplot as plt
 
@@ -157,7 +157,7 @@ def test_wrong_arguments_are_2(recordings, capsys):
 
 def write_recording(folder):
     """A second of standing still; the truth beside it is poisoned."""
-    joints, wrench = joint_state_bytes(JOINT_NAMES, "base_link"), wrench_bytes("ft_sensor")
+    joints, wrench = joint_state_bytes(GALEN.joint_names, "base_link"), wrench_bytes("ft_sensor")
     for name in ("sweep", "motion"):
         with BagWriter(folder / name) as bag:
             states = bag.add_topic("joint_states", "sensor_msgs/msg/JointState")

@@ -120,7 +120,7 @@ def test_a_planted_cause_is_found_in_a_table(cause):
         wrench += np.repeat([0.3, 0.012], 3) * random.standard_normal(wrench.shape)
     made = replace(table, wrench=wrench + sigma * random.standard_normal(wrench.shape))
     noise = sigma * random.standard_normal((700, 6))
-    answer = diagnose_blocks(cause, *prepare_table(made, noise=noise)).answer
+    answer = diagnose_blocks(cause, *prepare_table(made, noise=noise))
     shares = dict(answer.ranking)
     assert set(shares) >= {"none", "unknown", "axis_gain", "sensor_drift", "cable_drag"}
     if cause == turned.name:
@@ -206,7 +206,6 @@ def test_an_industrial_arms_axis_and_a_grasper(capsys, tmp_path):
     command = [str(REAL / "kr300_joints" / "run_a.csv"), "--columns", f"t=t_s,{names}"]
     assert diagnose([*command, "--torque-gear", "252.333"]) == 0
     folder = tmp_path / "diagnosis_run_a"
-    assert (folder / "pictures" / "time.png").stat().st_size > 10_000
     answer = json.loads((folder / "diagnosis.json").read_text())
     assert answer["sentence"][:30] in (folder / "report.html").read_text().replace("&#39;", "'")
     causes = {cause["effect"]: cause for cause in answer["causes"]}

@@ -14,7 +14,6 @@ matplotlib.use("Agg")  # a lab's machine over ssh has no display
 import matplotlib.pyplot as plt
 import numpy as np
 from galen_model.arrays import Array
-from galen_model.evidence.held_out import BlockRows
 from galen_model.files.atomic_file import save_figure
 from matplotlib.colors import LogNorm
 from matplotlib.patches import Rectangle
@@ -30,7 +29,6 @@ from galen_diagnosis.answer.localization import (
 from galen_diagnosis.observation.rows import BAGS, CHANNELS, GROUPS, REGIMES, Stream, group_of
 from galen_diagnosis.report.words import share_words
 
-_BEFORE, _AFTER = "#d55e00", "#0072b2"
 _AXES = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#000000")
 """Okabe and Ito's: colour-blind people see the difference, too."""
 _POINTS = 180
@@ -260,28 +258,3 @@ def _margins(
         wspace=between_x,
         hspace=between_y,
     )
-
-
-# Tables
-
-
-def block_figure(rows: BlockRows, before: Array, after: Array) -> plt.Figure:
-    """Draw residuals (n, C) in units of the floor, before and after, channel by channel."""
-    order = np.argsort(rows.block, kind="stable")
-    edges = np.flatnonzero(np.diff(rows.block[order])) + 0.5
-    lines = -(-len(rows.channels) // 3)
-    size = (12.6, 0.8 + 2.5 * lines)
-    figure, panels = plt.subplots(lines, min(3, len(rows.channels)), figsize=size, squeeze=False)
-    for channel, panel in enumerate(panels.flat):
-        if rows.floor_known:
-            panel.axhspan(-2.0, 2.0, color="#dddddd", lw=0, label="noise, 2 sigma")
-        for values, colour, name in ((before, _BEFORE, "before"), (after, _AFTER, "after")):
-            panel.plot(values[order, channel], ".-", ms=3, lw=0.7, color=colour, label=name)
-        for edge in edges:
-            panel.axvline(edge, color="#bbbbbb", lw=0.5)
-        unit = f"{rows.floor[channel]:.3g} {rows.units[channel]}"
-        panel.set_title(f"{rows.channels[channel]}, in {unit}", fontsize=10, loc="left")
-    panels[0, 0].legend(fontsize=7, frameon=False)
-    figure.supxlabel("row; lines part the blocks", fontsize=10)
-    figure.tight_layout()
-    return figure

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from galen_model.arrays import Array
 from galen_model.evidence.held_out import BlockEvidence, BlockHypothesis, BlockRows, Effects
-from galen_model.evidence.search import SearchResult, SearchSettings, search
+from galen_model.evidence.search import SearchResult, search
 
 from galen_diagnosis.answer.answer import SURE, UNKNOWN, Answer, FoundCause, Interval, Verdict
 from galen_diagnosis.report.words import sentence
@@ -24,31 +24,20 @@ _OF_TIME = {"sensor_drift", "bias_step"}
 _ABOVE_FLOOR = 1.25**2
 
 
-@dataclass(frozen=True)
-class BlockDiagnosis:
-    """The answer and the residuals behind it, in units of the floor: before, after (n, C)."""
-
-    answer: Answer
-    rows: BlockRows
-    before: Array
-    after: Array
-
-
 def diagnose_blocks(
     name: str,
     rows: BlockRows,
     effects: Effects,
     notes: Sequence[str] = (),
-    settings: SearchSettings | None = None,
     progress: Callable[[str], None] | None = None,
-) -> BlockDiagnosis:
+) -> Answer:
     """Search, and return verdict, causes with intervals, gap before and after, where it lies.
 
     Whole blocks are held out; with an effect of time among those found, thirds of blocks, and what
     is closed of whole blocks is beside it in the answer. progress: told each hypothesis.
     """
     evidence = BlockEvidence(rows, effects.nominal)
-    found = search(evidence, effects, settings, progress)
+    found = search(evidence, effects, progress=progress)
     best = found.best
     bare = _bare(found)
     before = evidence.held_out(bare)
@@ -94,7 +83,7 @@ def diagnose_blocks(
         problems=() if rows.floor_known else (no_floor,),
         notes=tuple(notes),
     )
-    return BlockDiagnosis(replace(answer, sentence=sentence(answer)), rows, before, after)
+    return replace(answer, sentence=sentence(answer))
 
 
 def _bare(found: SearchResult) -> BlockHypothesis:
