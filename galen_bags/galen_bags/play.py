@@ -29,7 +29,7 @@ _NOTES = """Pause: ros2 service call /player/pause std_srvs/srv/SetBool "{data: 
 Under other names: --ros-args -r OLD:=NEW"""
 
 
-class Replay:
+class PlayRun:
     """One run of the command: the node, the bar on the terminal, what it comes to."""
 
     def __init__(self, options: argparse.Namespace, bag: Bag) -> None:
@@ -143,7 +143,7 @@ def main() -> int:
 
     def work() -> int:
         with open_bag(options.bag) as bag:
-            replay = Replay(options, bag)
+            replay = PlayRun(options, bag)
             number = replay.run()
             if options.json:
                 print_json(replay.result(number))

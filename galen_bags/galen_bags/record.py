@@ -35,7 +35,7 @@ _NOTES = (
 )
 
 
-class Recording:
+class RecordRun:
     """One run of the command: the node, the limit, the line on the terminal."""
 
     def __init__(self, options: argparse.Namespace) -> None:
@@ -166,7 +166,7 @@ def main() -> int:
     options = parse(own_arguments(sys.argv[1:]))
 
     def work() -> int:
-        recording = Recording(options)
+        recording = RecordRun(options)
         if not options.json:
             print(f"recording to {options.output}; Ctrl-C ends it", file=sys.stderr, flush=True)
         try:

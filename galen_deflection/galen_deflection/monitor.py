@@ -6,7 +6,7 @@ from collections import deque
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_ros.stream.monitor import RATE_WINDOW_S, Severity, State, StreamMonitor, joined
+from galen_ros.stream.monitor import RATE_WINDOW_S, Severity, StreamMonitor, StreamState, joined
 from galen_ros.stream.samples import Rejection
 
 from galen_deflection.deflector import Deflector, ModelRejection
@@ -54,26 +54,26 @@ class DeflectorMonitor(StreamMonitor):
         (_, first, first_outside), (_, last, last_outside) = self._shares[0], self._shares[-1]
         return (last_outside - first_outside) / (last - first) if last > first else 0.0
 
-    def _standing_state(self) -> State | None:
+    def _standing_state(self) -> StreamState | None:
         if self._model_error:
             text = f"nothing is published: {self._model_error}; set model_file to a good file"
-            return State(Severity.ERROR, "bad_model_file", text)
+            return StreamState(Severity.ERROR, "bad_model_file", text)
         if self._deflector.model is None:
             text = "no model is loaded: set model_file; nothing is published"
-            return State(Severity.WARN, ModelRejection.NO_MODEL.value, text)
+            return StreamState(Severity.WARN, ModelRejection.NO_MODEL.value, text)
         if self._deflector.other_tip:
             text = f"nothing is published: {self._deflector.other_tip}"
-            return State(Severity.ERROR, ModelRejection.OTHER_TIP.value, text)
+            return StreamState(Severity.ERROR, ModelRejection.OTHER_TIP.value, text)
         return None
 
-    def _running_state(self) -> State:
+    def _running_state(self) -> StreamState:
         model = self._deflector.model
         assert model is not None
         text = f"predicting by {model.name}"
         share = self.extrapolated_share
         if share > 0.0:
             text += f", {100.0 * share:.0f} % of it beyond what the model was fitted on"
-            return State(Severity.WARN, "extrapolating", text)
+            return StreamState(Severity.WARN, "extrapolating", text)
         last = self._deflector.last
         if last is not None and last.predicted.start is not None:
             start = last.predicted.start
@@ -82,8 +82,8 @@ class DeflectorMonitor(StreamMonitor):
                     "; loads before the start are not known, so that it is uncertain by"
                     f" {1e3 * _size(start[:3, :3]):.2g} mm until the arm has been pushed both ways"
                 )
-                return State(Severity.OK, "start_unknown", text)
-        return State(Severity.OK, self.working, text)
+                return StreamState(Severity.OK, "start_unknown", text)
+        return StreamState(Severity.OK, self.working, text)
 
     def values(self, now_s: float) -> dict[str, object]:
         """Everything measured, for /diagnostics; units are in the names."""

@@ -1,6 +1,6 @@
 """The health of the compensator's node: state, rates, latency. No ROS."""
 
-from galen_ros.stream.monitor import Severity, State, StreamMonitor, joined
+from galen_ros.stream.monitor import Severity, StreamMonitor, StreamState, joined
 from galen_ros.stream.samples import Rejection
 
 from galen_gravcomp.compensator import Compensator
@@ -27,25 +27,27 @@ class Monitor(StreamMonitor):
         """Say what became of the file of the active tool since; empty while it is as loaded."""
         self._file_note = text
 
-    def _standing_state(self) -> State | None:
+    def _standing_state(self) -> StreamState | None:
         if self._tool_error:
-            return State(Severity.ERROR, "bad_tool_file", f"no tool: {self._tool_error}")
+            return StreamState(Severity.ERROR, "bad_tool_file", f"no tool: {self._tool_error}")
         if not self._compensator.enabled:
-            return State(Severity.WARN, "disabled", "switched off: nothing is published")
+            return StreamState(Severity.WARN, "disabled", "switched off: nothing is published")
         if self._compensator.tool is None:
-            return State(
+            return StreamState(
                 Severity.WARN, "no_tool", "no tool is loaded: call ~/set_tool; nothing is published"
             )
         return None
 
-    def _running_state(self) -> State:
+    def _running_state(self) -> StreamState:
         compensator = self._compensator
         assert compensator.tool is not None
         tool = compensator.tool.tool
         if compensator.taring:
-            return State(Severity.OK, "taring", f"compensating '{tool}', averaging for a tare")
+            return StreamState(
+                Severity.OK, "taring", f"compensating '{tool}', averaging for a tare"
+            )
         if compensator.tare_ramping:
-            return State(Severity.OK, "tare_ramp", f"compensating '{tool}', applying a tare")
+            return StreamState(Severity.OK, "tare_ramp", f"compensating '{tool}', applying a tare")
         monitor, bias_drift = compensator.monitor, compensator.bias_drift
         if monitor is not None and monitor.trouble:
             return self._warning("does_not_fit", f"'{tool}', but {monitor.trouble}")
@@ -56,12 +58,14 @@ class Monitor(StreamMonitor):
                 "cable_outside", f"'{tool}' without its cable's pull: no such pose was seen with it"
             )
         if self._file_note:
-            return State(Severity.WARN, "file_changed", f"compensating '{tool}': {self._file_note}")
-        return State(Severity.OK, "compensating", f"compensating '{tool}'")
+            return StreamState(
+                Severity.WARN, "file_changed", f"compensating '{tool}': {self._file_note}"
+            )
+        return StreamState(Severity.OK, "compensating", f"compensating '{tool}'")
 
-    def _warning(self, name: str, text: str) -> State:
+    def _warning(self, name: str, text: str) -> StreamState:
         note = f"; {self._file_note}" if self._file_note else ""
-        return State(Severity.WARN, name, f"compensating {text}{note}")
+        return StreamState(Severity.WARN, name, f"compensating {text}{note}")
 
     def values(self, now_s: float) -> dict[str, object]:
         """Everything measured, for /diagnostics; units are in the names."""

@@ -45,7 +45,7 @@ from galen_model.load.frames import (
 )
 from galen_ros.messages import LATCHED
 from galen_ros.node.spin import init_ros
-from galen_ros.rclpy_workarounds import Background, DeferredService, Respond
+from galen_ros.rclpy_workarounds import BackgroundJobs, DeferredService, Respond
 from geometry_msgs.msg import Wrench
 from rclpy.node import Node
 
@@ -102,7 +102,7 @@ class ActiveToolTopic:
         self,
         node: Node,
         compensator: Compensator,
-        background: Background,
+        background: BackgroundJobs,
         on_note: Callable[[str], None],
     ) -> None:
         """`on_note(text)`: what became of the file since; empty while it is as loaded."""
@@ -257,7 +257,7 @@ class ToolServices:
         self._store = CalibrationStore(tools_dir)
         self._live_joints = live_joints
         self._changing: list[set[str]] = []
-        self._background = Background(node)
+        self._background = BackgroundJobs(node)
         self.active_tool = ActiveToolTopic(node, compensator, self._background, on_note)
         self._services = [
             DeferredService(node, ListTools, "~/list_tools", self._on_list),

@@ -4,7 +4,7 @@
 |---|---|---|
 | `DeferredService` | EventsExecutor does not await an `async` service callback | ros2/rclpy#1473 |
 | `DeferredActionServer` | executors poll an `async` execute callback | ros2/rclpy#1405 |
-| `Background` | EventsExecutor ignores guard conditions | ros2/rclpy#1391 |
+| `BackgroundJobs` | EventsExecutor ignores guard conditions | ros2/rclpy#1391 |
 | `guard_parameter_services` | a parameter of an unknown type ends the node | ros2/rclcpp#3257 |
 | `guard_transitions` | a transition that the state lacks ends the node | ros2/rclpy#1209 |
 | `destroy_all` | the executor calls what was destroyed | ros2/rclpy#1206 |
@@ -149,7 +149,7 @@ class DeferredActionServer(ActionServer):
         raise AssertionError("goals of a DeferredActionServer end through finish()")
 
 
-class Background:
+class BackgroundJobs:
     """Runs jobs, such as reading files, in a thread beside the executor, one after another.
 
     A guard condition would wake the executor when a job is done; EventsExecutor ignores them, so a

@@ -5,7 +5,7 @@ from importlib import metadata
 
 import pytest
 from galen_ros.node.testing import Harness
-from galen_ros.rclpy_workarounds import RCLPY_VERSION, Background
+from galen_ros.rclpy_workarounds import RCLPY_VERSION, BackgroundJobs
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
@@ -16,7 +16,7 @@ EXECUTORS = [None, lambda context: SingleThreadedExecutor(context=context)]
 def test_the_executor_goes_on_and_gets_the_results_in_order(make) -> None:
     with Harness(*([] if make is None else [make])) as harness:
         node = harness.add(lambda context: Node("worker", context=context))
-        background = harness.call_in_executor(lambda: Background(node))
+        background = harness.call_in_executor(lambda: BackgroundJobs(node))
         go, results = threading.Event(), []
 
         def hand_over() -> None:

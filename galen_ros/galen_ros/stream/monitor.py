@@ -39,7 +39,7 @@ class Severity(Enum):
     STALE = "STALE"
 
 
-class State(NamedTuple):
+class StreamState(NamedTuple):
     """The state's severity, its short name, and a sentence for a person."""
 
     severity: Severity
@@ -183,7 +183,7 @@ class StreamMonitor(ABC):
             self.publishers[pairing.wrench_topic].heard_again()
         self._irregular = irregular
 
-    def state(self, now_s: float) -> State:
+    def state(self, now_s: float) -> StreamState:
         """Return the state now; the most serious and most basic trouble comes first."""
         return (
             self._standing_state()
@@ -197,11 +197,11 @@ class StreamMonitor(ABC):
         )
 
     @abstractmethod
-    def _standing_state(self) -> State | None:
+    def _standing_state(self) -> StreamState | None:
         """Return why nothing can go out, whatever comes in."""
 
     @abstractmethod
-    def _running_state(self) -> State:
+    def _running_state(self) -> StreamState:
         """Return what is done when nothing is wrong with the samples."""
 
     def _notice_texts(self) -> Mapping[Notice, str]:
@@ -217,7 +217,7 @@ class StreamMonitor(ABC):
             Notice.OUT_OF_ORDER_JOINTS: "joint_states stamps are out of order",
         }
 
-    def _silence_state(self, now_s: float) -> State | None:
+    def _silence_state(self, now_s: float) -> StreamState | None:
         # Wrenches without joints are rejected one by one: that says more than the joints' silence.
         if self._wrench_s is not None and now_s - self._wrench_s <= self._silence_s:
             return None
@@ -228,9 +228,9 @@ class StreamMonitor(ABC):
                 silent.append(f"no {name} came yet")
             elif now_s - last_s > self._silence_s:
                 silent.append(f"no {name} for {now_s - last_s:.1f} s")
-        return State(Severity.STALE, "silent", " and ".join(silent))
+        return StreamState(Severity.STALE, "silent", " and ".join(silent))
 
-    def _several_state(self, now_s: float) -> State | None:
+    def _several_state(self, now_s: float) -> StreamState | None:
         """Two publishers' samples are repeated and out of order by turns: that is one state."""
         watched = (self.outputs, *self.publishers.values())
         several = [one.several for one in watched if one.several]
@@ -239,7 +239,7 @@ class StreamMonitor(ABC):
         text = " and ".join(several)
         if self.outputs.several or self.publishers[self._pairing.wrench_topic].several:
             text = f"{self.lost}: {text}: stop all but one of them"
-            return State(Severity.ERROR, "several_publishers", text)
+            return StreamState(Severity.ERROR, "several_publishers", text)
         # Joints may come from several, as long as only one of them has this arm's.
         if self._output_s is None or now_s - self._output_s > HOLD_S:
             return None  # the rejection says why nothing goes out
@@ -247,34 +247,36 @@ class StreamMonitor(ABC):
             self._rejection_state(now_s) or self._noticed_state(now_s) or self._running_state()
         ).message
         text = f"{text}: only one of them may have this arm's joints; {rest}"
-        return State(Severity.WARN, "several_publishers", text)
+        return StreamState(Severity.WARN, "several_publishers", text)
 
-    def _rejection_state(self, now_s: float) -> State | None:
+    def _rejection_state(self, now_s: float) -> StreamState | None:
         if self._last is None or now_s - self._last[1] > HOLD_S:
             return None
         reason, detail = self._last[0].reason, self._last[0].detail
         if reason in self.not_shown:
             return None
         if self._output_s is None or now_s - self._output_s > HOLD_S:
-            return State(Severity.ERROR, reason.value, f"{self.lost}: {detail}")
-        return State(Severity.WARN, reason.value, f"some wrenches are rejected: {detail}")
+            return StreamState(Severity.ERROR, reason.value, f"{self.lost}: {detail}")
+        return StreamState(Severity.WARN, reason.value, f"some wrenches are rejected: {detail}")
 
-    def _waiting_state(self) -> State | None:
+    def _waiting_state(self) -> StreamState | None:
         if self._output_s is None:
-            return State(Severity.STALE, "waiting", "waiting for wrenches with joints around them")
+            return StreamState(
+                Severity.STALE, "waiting", "waiting for wrenches with joints around them"
+            )
         return None
 
-    def _late_state(self, now_s: float) -> State | None:
+    def _late_state(self, now_s: float) -> StreamState | None:
         text = self._lateness.trouble(now_s, NOTICE_HOLD_S)
         if not text:
             return None
         text = f"{self.working}, but: of {self._pairing.wrench_topic} {text}"
-        return State(Severity.WARN, "late", text)
+        return StreamState(Severity.WARN, "late", text)
 
-    def _noticed_state(self, now_s: float) -> State | None:
+    def _noticed_state(self, now_s: float) -> StreamState | None:
         for held in (self._restart, self._notice):
             if held is not None and now_s - held[1] < NOTICE_HOLD_S:
-                return State(Severity.WARN, self.working, f"{self.working}, but: {held[0]}")
+                return StreamState(Severity.WARN, self.working, f"{self.working}, but: {held[0]}")
         return None
 
     def inputs(self, now_s: float, output_topic: str) -> dict[str, object]:

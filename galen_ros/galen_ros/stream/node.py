@@ -17,7 +17,7 @@ from galen_ros.cdr import JointStateError, JointWire, RawWrench, UnreadableError
 from galen_ros.messages import STREAM, publisher_nodes
 from galen_ros.node.diagnostics import Level, Status
 from galen_ros.node.managed_node import ManagedNode
-from galen_ros.stream.monitor import Severity, State, StreamMonitor
+from galen_ros.stream.monitor import Severity, StreamMonitor, StreamState
 from galen_ros.stream.pairing import WrenchPairing
 from galen_ros.stream.samples import Rejected
 
@@ -43,7 +43,7 @@ class StreamNode(ManagedNode):
 
     def __init__(self, name: str, **node_options: Any) -> None:
         super().__init__(name, **node_options)
-        self._announced: State | None = None
+        self._announced: StreamState | None = None
         self._announced_s = float("-inf")
         self._qos_trouble = ""
         self._newest_joint_state: tuple[float, bytes] | None = None
@@ -214,12 +214,12 @@ class StreamNode(ManagedNode):
         self._watch(now_s)
         self._announce()
 
-    def _state(self, now_s: float) -> State:
+    def _state(self, now_s: float) -> StreamState:
         if not self.active:
-            return State(Severity.WARN, "inactive", self.inactive_text)
+            return StreamState(Severity.WARN, "inactive", self.inactive_text)
         state = self._monitor.state(now_s)
         if state.severity is Severity.STALE and self._qos_trouble:
-            return State(Severity.ERROR, "incompatible_qos", self._qos_trouble)
+            return StreamState(Severity.ERROR, "incompatible_qos", self._qos_trouble)
         return state
 
     def _announce(self, always: bool = False) -> None:
@@ -237,7 +237,7 @@ class StreamNode(ManagedNode):
         if changed:
             self._log(state)
 
-    def _log(self, state: State) -> None:
+    def _log(self, state: StreamState) -> None:
         # rclpy's logger wants one severity for each line of code.
         if state.severity is Severity.OK:
             self.get_logger().info(state.message)
