@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 from galen_diagnosis.answer.answer import Answer, Diagnosis, FoundCause, Interval
@@ -18,64 +19,43 @@ TIP_NOISE = np.array([3e-5] * 3 + [1e-4] * 3)
 WRENCH, TIP, MARKER = CHANNELS[:6], CHANNELS[6:12], CHANNELS[12:]
 
 
-def example_rows(rows_a_pose=2, seed=0):
+def example_rows():
     """Rows of three bags: 56 poses, 45 s of motion, four positions with pushes."""
-    parts = []
-    for pose in range(56):
-        tilt, roll = TILTS[pose // 8], ROLLS[pose % 8]
-        at_s = 2.3 * pose + 0.8 + 0.5 * np.arange(rows_a_pose)
-        joints = np.tile([0.0, 0.0, 0.408, roll, tilt], (rows_a_pose, 1))
-        parts.append(_part("sweep", "still", at_s, joints, 0.0 * joints, pose, pose, WRENCH))
-    at_s = np.arange(0.0, 45.0, 0.25)
-    amplitude = np.array([0.03, 0.03, 0.03, 1.2, 0.8])
-    speed = np.array([0.7, 0.9, 0.5, 0.6, 0.8])
-    middle = np.array([0.0, 0.0, 0.408, 0.0, 0.0])
-    joints = middle + amplitude * np.sin(np.outer(at_s, speed))
-    rate = amplitude * speed * np.cos(np.outer(at_s, speed))
-    for first in range(0, len(at_s), 12):
-        own = slice(first, first + 12)
-        for regime, sign in (("moving+", 1.0), ("moving-", -1.0)):
-            moving = sign * rate[own, 4] > 0
-            block = 56 + first // 12
-            chosen = (at_s[own][moving], joints[own][moving], rate[own][moving])
-            parts.append(_part("motion", regime, *chosen, -1, block, WRENCH))
-    for position in range(4):
-        place = np.array([0.02 * position, 0.0, 0.4, 0.3 * position - 0.5, 0.2 * position - 0.3])
-        for push in range(18):
-            for part, regime in enumerate(("loading", "held", "unloading", "rest")):
-                at_s = np.array([30.0 * position + 3.0 + 1.5 * push + 0.375 * part])
-                block = 72 + 6 * position + push // 3
-                joints = place[None]
-                channels = TIP + MARKER + (WRENCH if regime == "rest" else ())
-                parts.append(
-                    _part("push", regime, at_s, joints, 0 * joints, position, block, channels)
-                )
-    columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    return ResidualRows(**columns)
-
-
-def _part(bag, regime, at_s, joints, rate, pose, block, channels):
-    n, k = len(at_s), len(channels)
-    start_s = {"sweep": 0.0, "motion": 143.0, "push": 202.0}[bag]
+    home, still = np.array([0.0, 0.0, 0.408, 0.0, 0.0]), np.zeros(5)
+    samples = []  # bag, its start, regime, time, joints, rate, pose, block, channels
+    for pose, (tilt, roll) in enumerate(product(TILTS, ROLLS)):
+        at = home + [0.0, 0.0, 0.0, roll, tilt]
+        for at_s in (2.3 * pose + 0.8, 2.3 * pose + 1.3):
+            samples.append(("sweep", 0.0, "still", at_s, at, still, pose, pose, WRENCH))
+    amplitude, speed = np.array([[0.03] * 3 + [1.2, 0.8], [0.7, 0.9, 0.5, 0.6, 0.8]])
+    for at_s in np.arange(0.0, 45.0, 0.25):
+        rate = amplitude * speed * np.cos(speed * at_s)
+        at = home + amplitude * np.sin(speed * at_s)
+        regime, block = "moving+" if rate[4] > 0 else "moving-", 56 + int(at_s // 3)
+        samples.append(("motion", 143.0, regime, at_s, at, rate, -1, block, WRENCH))
+    parts = enumerate(("loading", "held", "unloading", "rest"))
+    for place, push, (part, regime) in product(range(4), range(18), parts):
+        at = np.array([0.02 * place, 0.0, 0.4, 0.3 * place - 0.5, 0.2 * place - 0.3])
+        at_s, block = 30.0 * place + 3.0 + 1.5 * push + 0.375 * part, 72 + 6 * place + push // 3
+        channels = TIP + MARKER + (WRENCH if regime == "rest" else ())
+        samples.append(("push", 202.0, regime, at_s, at, still, place, block, channels))
+    each = [(channel, *sample[:-1]) for sample in samples for channel in sample[-1]]
+    channel, bag, start_s, regime, at_s, joints, rate, pose, block = zip(*each, strict=True)
     noise = dict(zip(CHANNELS, (*WRENCH_NOISE, *TIP_NOISE, *TIP_NOISE), strict=True))
-
-    def every(value):
-        return np.full(n * k, value)
-
-    return {
-        "channel": np.tile([CHANNELS.index(name) for name in channels], n),
-        "bag": every(BAGS.index(bag)),
-        "regime": every(REGIMES.index(regime)),
-        "bag_s": np.repeat(at_s, k),
-        "session_s": np.repeat(at_s, k) + start_s,
-        "pose": every(pose),
-        "block": every(block),
-        "fold": every(block % FOLDS),
-        "joints": np.repeat(joints, k, axis=0),
-        "rate": np.repeat(rate, k, axis=0),
-        "samples": every(25),
-        "scale": np.tile([noise[name] / 5.0 for name in channels], n),
-    }
+    return ResidualRows(
+        channel=np.array([CHANNELS.index(name) for name in channel]),
+        bag=np.array([BAGS.index(name) for name in bag]),
+        regime=np.array([REGIMES.index(name) for name in regime]),
+        bag_s=np.array(at_s),
+        session_s=np.array(at_s) + start_s,
+        pose=np.array(pose),
+        block=np.array(block),
+        fold=np.array(block) % FOLDS,
+        joints=np.array(joints),
+        rate=np.array(rate),
+        samples=np.full(len(each), 25),
+        scale=np.array([noise[name] / 5.0 for name in channel]),
+    )
 
 
 def tilt_error(rows, size=20.0):
@@ -103,33 +83,19 @@ def example_streams(error=0.0, seed=1):
 
 def example_answer(verdict="identified", recording="example"):
     """An answer with that verdict; its numbers are made up."""
-    tilt = FoundCause(
-        "joint_zero_offset",
-        0.93,
-        {"offset_rad": Interval(0.0102, 0.0099, 0.0105)},
-        (),
-        Interval(0.98, 0.97, 0.99),
-        joint="tilt",
-    )
-    turned = FoundCause(
-        "sensor_mount_rotation",
-        0.45,
-        {"rotvec_rad": [Interval(0.0, -1e-4, 1e-4), Interval(0.01, 9e-3, 11e-3)]
-         + [Interval(0.0, -1e-4, 1e-4)]},
-        ("joint_zero_offset:tilt",),
-        Interval(0.97, 0.95, 0.99),
-    )  # fmt: skip
-    causes = {"identified": (tilt,), "ambiguous": (tilt, turned)}.get(verdict, ())
     offset = "joint_zero_offset:tilt"
+    tilt = FoundCause("joint_zero_offset", 0.93, {"offset_rad": Interval(0.0102, 0.0099, 0.0105)},
+                      (), Interval(0.98, 0.97, 0.99), joint="tilt")  # fmt: skip
+    nothing, about_y = Interval(0.0, -1e-4, 1e-4), Interval(0.01, 9e-3, 11e-3)
+    turned = FoundCause("sensor_mount_rotation", 0.45, {"rotvec_rad": [nothing, about_y, nothing]},
+                        (offset,), Interval(0.97, 0.95, 0.99))  # fmt: skip
+    causes = {"identified": (tilt,), "ambiguous": (tilt, turned)}.get(verdict, ())
     ranking = {
         "none": (("none", 0.97), ("unknown", 0.02), (offset, 0.01)),
         "unknown": (("unknown", 0.96), ("cable_drag", 0.04), ("none", 0.0)),
-        "ambiguous": (
-            (offset, 0.5),
-            ("sensor_mount_rotation", 0.45),
-            ("none", 0.0),
-        ),
-    }.get(verdict, ((offset, 0.93), ("unknown", 0.05), ("none", 0.0)))
+        "ambiguous": ((offset, 0.5), ("sensor_mount_rotation", 0.45), ("none", 0.0)),
+        "identified": ((offset, 0.93), ("unknown", 0.05), ("none", 0.0)),
+    }[verdict]
     closed = None if verdict == "none" else Interval(0.98, 0.97, 0.99).to_json()
     after = 1.01 if verdict in ("identified", "ambiguous") else 8.0
     gap = {
