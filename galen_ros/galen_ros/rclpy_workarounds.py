@@ -60,41 +60,33 @@ class DeferredService:
         callback: Callable[[Any, Any, Respond], None],
     ) -> None:
         self._callback = callback
-        self._pending: list[_Answer] = []
+        # Of each request, newest last: its header and the filled response, as far as known.
+        self._pending: list[dict[str, Any]] = []
         service = cast(Any, node.create_service(service_type, name, self._on_request))
         self._send = service.send_response
         service.send_response = self._on_send
 
     def _on_request(self, request: Any, response: Any) -> Any:
-        answer = _Answer(self._send)
+        answer: dict[str, Any] = {}
         self._pending.append(answer)
-        self._callback(request, response, answer.respond)
+
+        def respond(filled: Any) -> None:
+            if "response" in answer:
+                raise RuntimeError("a service request was answered twice")
+            self._complete(answer, response=filled)
+
+        self._callback(request, response, respond)
         return response
 
-    def _on_send(self, response: Any, header: Any) -> None:
+    def _on_send(self, _response: Any, header: Any) -> None:
         # The executor runs one callback to its end, with its send, before the next.
-        answer = self._pending.pop()
-        answer.header = header
-        answer.send_when_complete()
+        self._complete(self._pending.pop(), header=header)
 
-
-class _Answer:
-    """One request's answer: goes out as soon as both the response and the header are known."""
-
-    def __init__(self, send: Callable[[Any, Any], None]) -> None:
-        self._send = send
-        self._response: Any = None
-        self.header: Any = None
-
-    def respond(self, response: Any) -> None:
-        if self._response is not None:
-            raise RuntimeError("a service request was answered twice")
-        self._response = response
-        self.send_when_complete()
-
-    def send_when_complete(self) -> None:
-        if self._response is not None and self.header is not None:
-            self._send(self._response, self.header)
+    def _complete(self, answer: dict[str, Any], **known: Any) -> None:
+        """Send the answer as soon as both the response and the header are known."""
+        answer |= known
+        if len(answer) == 2:
+            self._send(answer["response"], answer["header"])
 
 
 class DeferredActionServer(ActionServer):
