@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 
 from galen_bags import BagError
 
-JSON_READERS = ("tool_file", "model_json", "answer", "settings")
+JSON_READERS = ("tool_file", "model_json", "answer")
 LEFT = {reader.file_name for reader in READERS.values()} | {"bag_0.mcap"}
 
 
