@@ -145,13 +145,8 @@ def find_pushes(
     """Return the pushes in their order, none over the end of a segment.
 
     A push without an unloaded sample before or after it in its segment is left out: its
-    deflection without load is not known.
-
-    Args:
-        samples: n samples.
-        at_tip: wrenches (n, 6) at the tip in base_link.
-        limits: force (N) and torque (N.m) that are no load; those of `no_load` if None.
-
+    deflection without load is not known. at_tip: wrenches (n, 6) at the tip in base_link; limits:
+    force (N) and torque (N.m) that are no load, None for those of `no_load`.
     """
     if not len(samples):
         return []

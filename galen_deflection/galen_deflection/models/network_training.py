@@ -225,23 +225,10 @@ def train(
     """Train on `series`; of `held_out` nothing is learnt, but its best iteration is kept.
 
     The standardisation is of the used samples of `series` alone. The same seed gives the same
-    network on the same machine.
-
-    Args:
-        series: what is learnt from.
-        settings: of the training.
-        held_out: what iterations are compared on; without it the last one is kept.
-        unit: (n_out,) what an error is measured by; None for the targets' standard deviations.
-        least: (n_in,) inputs are standardised by no less; None for no such limit.
-        on_progress: called with (done, total) after every iteration.
-
-    Returns:
-        The network; root mean square errors over `unit` after every iteration, on what was held
-        out, or learnt from; and which iteration was kept, from 0.
-
-    Raises:
-        FitError: nothing to learn from, a training that diverges, or no PyTorch.
-
+    network on the same machine. unit (n_out,): what an error is measured by, None for the targets'
+    standard deviations; least (n_in,): inputs are standardised by no less. Returns the network,
+    root mean square errors over `unit` after each iteration, and which one was kept, from 0. Raises
+    FitError with nothing to learn from, for a training that diverges, and without PyTorch.
     """
     torch = _torch()
     _check(series, held_out)

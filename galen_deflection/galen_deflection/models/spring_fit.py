@@ -2,17 +2,15 @@
 
 The tip's compliance depends on where the arm stands, and is linear in the springs' compliances 1/k
 (`galen_deflection.models.springs` has the proof), so that they come from linear least squares, none
-below zero. What the samples do not determine stays
-near the nominal value and is named.
+below zero. What the samples do not determine stays near the nominal value and is named.
 
 With hysteresis each of these springs deflects by
 
     d = c l + sum_i w_i play_i(l),   c, w_i >= 0,
 
-with play operators of its load l (`galen_model.play`). This is linear in c and
-w for given thresholds, so that non-negative least squares finds them; thresholds lie on a grid of
-shares of the largest load of each kind of spring. How fine a grid pays is decided by folds that a
-fit has not seen.
+with play operators of its load l (`galen_model.play`). This is linear in c and w for given
+thresholds, which lie on a grid of shares of the largest load of each kind of spring. How fine a
+grid pays is decided by folds that a fit has not seen.
 
 That is what dry friction does. Other forms are tried as well:
 

@@ -76,9 +76,8 @@ class Parameter(NamedTuple):
 class Operator(NamedTuple):
     """A play, or a stop, at each spring of a kind, or each of the platform's axes; one weight.
 
-    A stop is the rest of the load beside a play, with corners or smooth
-    (`galen_model.play`). thresholds: one for each; N.m, N, or at the platform m and
-    rad.
+    A stop is the rest of the load beside a play, with corners or smooth (`galen_model.play`).
+    thresholds: one for each; N.m, N, or at the platform m and rad.
     """
 
     place: str

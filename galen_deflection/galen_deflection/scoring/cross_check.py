@@ -1,22 +1,15 @@
 """Fits without some samples, scored on those: which samples, split by split.
 
-Sets stay whole, and so do segments, but for the split by pushes.
-
 A set is one repetition of the pushes at one position: the samples with one position and one
 set_number. The report (section 2.3.4 and 2.3.6) has eight sets, two at each of four positions, and
-fits to six of them and checks on two; it doesn't specify which. (The two calibration sets beside
-them hold no pushes, and no samples.) Here the two come from different positions, so that every
-position is among those fitted to: else it would be the harder question, that of a position left
-out.
+fits to six of them and checks on two; it doesn't specify which. Here the two come from different
+positions, so that every position is among those fitted to.
 
-Where every position was visited once, there is no such split, and pushes are dealt out instead,
-never samples: neighbours 10 ms apart are the same load. A push takes all until the next one begins
-with it, since the residual after it is what a model of hysteresis is asked for. Dealt are push 0 to
-the first fold, 1 to the second and so on, one further at each set. Runs of neighbouring pushes
-would be no better: a script goes axis by axis, and all pushes along one axis would be missed at
-once, which is another question. Dealt like this, a push's like in the same place is not fitted to,
-but its neighbours are, and its like at other positions: what the report's split has, too, where
-the same script was played twice.
+Where every position was visited once, pushes are dealt out instead, never samples: neighbours 10 ms
+apart are the same load. A push takes all until the next one begins with it, since the residual
+after it is what a model of hysteresis is asked for. Dealt are push 0 to the first fold, 1 to the
+second and so on, one further at each set: a script goes axis by axis, and of runs of neighbouring
+pushes all along one axis would be missed at once.
 """
 
 from __future__ import annotations
