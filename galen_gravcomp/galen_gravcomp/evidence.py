@@ -157,7 +157,6 @@ class FitEvidence:
         self._arm = arm
         self._tool = tool
         self._scale = float(tool.gravity_m_s2[2] / GRAVITY_M_S2[2])
-        self._mass_kg = float(tool.load.mass_kg + tool.adapter.mass_kg)
         self._sag_mass_kg = float(tool.load.mass_kg)
         known = columns.moment_covariance(tool.load) + columns.moment_covariance(tool.adapter)
         sag = 1.0 / _WRONG_SHIFT_M**2

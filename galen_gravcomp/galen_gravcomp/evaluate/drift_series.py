@@ -57,18 +57,17 @@ TEXT_SUFFIXES = (".csv", ".txt", ".tsv", ".dat")
 
 @dataclass(frozen=True)
 class DriftSeries:
-    """reading (n, 6), N and N.m, one row each `cell_s`, NaN where there is none or it was left out.
+    """A reading (n, 6), N and N.m, one row each `cell_s`, NaN where it is not known or left out.
 
     noise (6,): standard deviation of one sample about its kept cell's mean; samples: how many there
-    were; start_ns: stamp of the first row. contact_s: spans (begin, end), s from the start, left
-    out for contact; steps: (time in s, change (6,)) of levels that jump and stay. notes: in words.
+    were. contact_s: spans (begin, end), s from the start, left out for contact; steps: (time in s,
+    change (6,)) of levels that jump and stay. notes: in words.
     """
 
     reading: Array
     cell_s: float
     noise: Array
     samples: int
-    start_ns: int
     contact_s: tuple[tuple[float, float], ...]
     steps: tuple[tuple[float, Array], ...]
     notes: tuple[str, ...]
@@ -224,7 +223,6 @@ def series_of(name: str, cells: Cells, joints: Cells, tool: CalibrationFile | No
         cells.cell_s,
         noise,
         int(cells.count.sum()),
-        int(cells.start_ns[0]),
         tuple((begin * cells.cell_s, end * cells.cell_s) for begin, end in spans),
         steps,
         tuple(notes),
