@@ -11,7 +11,7 @@ from deflection_synthetic import Arm, recording
 from galen_deflection.errors import DeflectionError
 from galen_deflection.models.file import KINDS, read_model, write_model
 from galen_deflection.models.interface import FittedRange, fitted_on
-from galen_deflection.models.network import NetworkModel, RecurrentNet, Scaling, Weights
+from galen_deflection.models.network import NetworkModel, RecurrentNet, Scaling, weight_shapes
 from galen_model.arm.galen import GALEN
 from galen_model.errors import CalibrationFileError
 from galen_model.files.calibration_file import (
@@ -37,14 +37,14 @@ def models(samples):
 def network(samples, hidden=4):
     """Of random weights."""
     rng = np.random.default_rng(1)
-    shapes = Weights.shapes(11, hidden, 6)
+    shapes = weight_shapes(11, hidden, 6)
     weights = {name: rng.normal(size=shape) for name, shape in shapes.items()}
     inputs = Scaling(rng.normal(size=11), rng.uniform(0.1, 1.0, 11))
     noise = samples.noise
     outputs = Scaling(rng.normal(size=6) * noise, noise)
     return NetworkModel(
         tip_m=samples.tip_m,
-        net=RecurrentNet(Weights(**weights), inputs, outputs),
+        net=RecurrentNet(weights, inputs, outputs),
         period_s=0.04,
         discrepancy=np.diag(noise**2 / 3.0),
         noise=noise,

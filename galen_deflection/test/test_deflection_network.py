@@ -9,7 +9,7 @@ import pytest
 from deflection_synthetic import Arm, recording
 from galen_deflection.errors import FitError
 from galen_deflection.models.interface import FitSettings, PredictedSamples
-from galen_deflection.models.network import PacedNet, RecurrentNet, Scaling, Weights
+from galen_deflection.models.network import PacedNet, RecurrentNet, Scaling
 from galen_deflection.models.network_training import (
     Series,
     TrainingSettings,
@@ -94,7 +94,10 @@ def small_net(forget=2.0):
     w_in = np.array([[0.0], [0.0], [0.5], [0.0]])
     bias = np.array([-1.0, forget, 0.0, 3.0])
     one = Scaling(np.zeros(1), np.ones(1))
-    weights = Weights(w_in, np.zeros((4, 1)), bias, np.ones((1, 1)), np.zeros(1))
+    weights = {
+        "w_in": w_in, "w_state": np.zeros((4, 1)), "bias": bias,
+        "w_out": np.ones((1, 1)), "bias_out": np.zeros(1),
+    }  # fmt: skip
     return RecurrentNet(weights, one, one)
 
 
@@ -246,7 +249,7 @@ def test_the_numpy_network_is_what_torch_calculates(torch):
     series = with_backlash(np.random.default_rng(6))
     net, _, _ = train([series], replace(SMALL, hidden=5, iterations=3))
     lstm = torch.nn.LSTM(1, 5)
-    w = {name: torch.tensor(t, dtype=torch.float32) for name, t in vars(net.weights).items()}
+    w = {name: torch.tensor(t, dtype=torch.float32) for name, t in net.weights.items()}
     with torch.no_grad():
         lstm.weight_ih_l0.copy_(w["w_in"])
         lstm.weight_hh_l0.copy_(w["w_state"])

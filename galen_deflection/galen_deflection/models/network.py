@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -102,40 +102,32 @@ class Scaling(NamedTuple):
         return cls(array(get(whole, "mean"), f"{name}.mean", (size,)), scale)
 
 
-@dataclass(frozen=True)
-class Weights:
-    """Of the shapes that `shapes` gives."""
-
-    w_in: Array
-    w_state: Array
-    bias: Array
-    w_out: Array
-    bias_out: Array
-
-    @staticmethod
-    def shapes(inputs: int, hidden: int, outputs: int) -> dict[str, tuple[int, ...]]:
-        """Return the shapes for these numbers of inputs, hidden units and outputs."""
-        return {
-            "w_in": (4 * hidden, inputs),
-            "w_state": (4 * hidden, hidden),
-            "bias": (4 * hidden,),
-            "w_out": (outputs, hidden),
-            "bias_out": (outputs,),
-        }
+def weight_shapes(inputs: int, hidden: int, outputs: int) -> dict[str, tuple[int, ...]]:
+    """Return the weights' shapes for these numbers of inputs, hidden units and outputs."""
+    return {
+        "w_in": (4 * hidden, inputs),
+        "w_state": (4 * hidden, hidden),
+        "bias": (4 * hidden,),
+        "w_out": (outputs, hidden),
+        "bias_out": (outputs,),
+    }
 
 
 class RecurrentNet:
     """A trained network with its standardisation."""
 
-    def __init__(self, weights: Weights, inputs: Scaling, outputs: Scaling) -> None:
-        """Take scalings of n_in inputs and n_out outputs."""
+    def __init__(self, weights: Mapping[str, Array], inputs: Scaling, outputs: Scaling) -> None:
+        """Take weights of `weight_shapes`, and scalings of n_in inputs and n_out outputs."""
         self.weights, self.inputs, self.outputs = weights, inputs, outputs
-        self.hidden = weights.w_out.shape[1]
+        self.hidden = weights["w_out"].shape[1]
         # s(z) = (1 + tanh(z / 2)) / 2: one tanh for all gates
         half = np.full(4 * self.hidden, 0.5)
         half[2 * self.hidden : 3 * self.hidden] = 1.0
-        self._w_in, self._w_state = half[:, None] * weights.w_in, half[:, None] * weights.w_state
-        self._bias = half * weights.bias
+        self._w_in, self._w_state = (
+            half[:, None] * weights["w_in"],
+            half[:, None] * weights["w_state"],
+        )
+        self._bias = half * weights["bias"]
 
     def start(self) -> Array:
         """Return the state (2, hidden), h and c, in which every sequence begins."""
@@ -157,7 +149,7 @@ class RecurrentNet:
 
     def output(self, h: Array) -> Array:
         """Return outputs (n, n_out), in their units, of states h (n, hidden)."""
-        return self.outputs.undo(h @ self.weights.w_out.T + self.weights.bias_out)
+        return self.outputs.undo(h @ self.weights["w_out"].T + self.weights["bias_out"])
 
     def predict(self, inputs: Array) -> Array:
         """Return outputs (n, n_out) for a whole sequence (n, n_in), from a fresh start."""
@@ -170,12 +162,11 @@ class RecurrentNet:
 
     def to_json(self) -> dict[str, Any]:
         """Return plain numbers."""
-        weights = {f.name: getattr(self.weights, f.name) for f in fields(self.weights)}
         return {
             "hidden": self.hidden,
             "input_scaling": self.inputs.to_json(),
             "output_scaling": self.outputs.to_json(),
-            "weights": {name: np.asarray(value, float).tolist() for name, value in weights.items()},
+            "weights": {name: np.asarray(value).tolist() for name, value in self.weights.items()},
         }
 
     @classmethod
@@ -188,13 +179,13 @@ class RecurrentNet:
         rows = mapping(get(whole, "weights"), "network.weights")
         weights = {
             name: array(get(rows, name), f"network.weights.{name}", shape)
-            for name, shape in Weights.shapes(inputs, hidden, outputs).items()
+            for name, shape in weight_shapes(inputs, hidden, outputs).items()
         }
         scalings = [
             Scaling.from_json(get(whole, f"{what}_scaling"), f"network.{what}_scaling", size)
             for what, size in (("input", inputs), ("output", outputs))
         ]
-        return cls(Weights(**weights), *scalings)
+        return cls(weights, *scalings)
 
 
 class PacedNet:

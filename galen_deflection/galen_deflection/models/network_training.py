@@ -49,7 +49,7 @@ from galen_deflection.models.network import (
     PacedNet,
     RecurrentNet,
     Scaling,
-    Weights,
+    weight_shapes,
 )
 from galen_deflection.models.springs import tip_wrench
 
@@ -305,11 +305,15 @@ class _Net:
         error = (self._out(hidden) - targets) * self._weight * used
         return error.square().sum() / len(self._weight)
 
-    def weights(self) -> Weights:
+    def weights(self) -> dict[str, Array]:
         """Return a copy, as it is run."""
         lstm, out = self._lstm, self._out
         layers = (lstm.weight_ih_l0, lstm.weight_hh_l0, lstm.bias_ih_l0, out.weight, out.bias)
-        return Weights(*(layer.detach().numpy().astype(float) for layer in layers))
+        names = weight_shapes(0, 0, 0)
+        return {
+            name: layer.detach().numpy().astype(float)
+            for name, layer in zip(names, layers, strict=True)
+        }
 
 
 def _alike(series: Sequence[Series]) -> Iterator[list[Series]]:
