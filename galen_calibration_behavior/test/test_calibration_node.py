@@ -335,6 +335,17 @@ def test_without_a_goal_its_state_is_ready_or_that_the_last_one_failed(world):
     world.harness.wait_for(lambda: told() == ["failed"], 10.0, "that it failed")
 
 
+def test_a_tool_that_the_driver_does_not_know_is_rejected_before_anything_moves(world):
+    world.harness.call_in_executor(
+        lambda: world.driver.declare_parameter("tools", ["pointer", "retractor"])
+    )
+    world.fails(
+        world.send(tool="pionter"), ErrorCode.SERVICE_FAILED, "'pionter'", "/fake_driver",
+        "pointer, retractor",
+    )  # fmt: skip
+    assert world.driver.moves == 0
+
+
 @pytest.mark.usefixtures("quick_discovery")
 @pytest.mark.parametrize("service", ["zero_ft_sensor", "attach_tool"])
 def test_a_missing_service_is_named_before_anything_moves(tmp_path, service):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from contextlib import suppress
 from enum import IntEnum
 from pathlib import Path
 from typing import Any
@@ -13,8 +15,12 @@ from galen_model.files.calibration_file import calibration_path
 from galen_model.load.mounting.identification import check_planned_mounting
 from galen_ros.goal.node import ArmAction, GoalNode, RejectedGoalError, RunningGoal, named
 from galen_ros.goal.procedure import End
+from rcl_interfaces.msg import ParameterType
+from rcl_interfaces.srv import GetParameters
 from rclpy.action.server import ServerGoalHandle
 from rclpy.client import Client
+from rclpy.node import NodeNameNonExistentError
+from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from galen_calibration_behavior.calibration.estimate import (
@@ -42,6 +48,9 @@ from galen_calibration_behavior.parameters import MAX_ITERS
 from galen_msgs.action import CalibrateTool
 from galen_msgs.srv import SetTool
 
+_ANSWER_S = 2.0
+"""So long a driver is asked which tools it knows."""
+
 
 class _Goal(RunningGoal):
     """One running calibration; `warnings`: known from before it began."""
@@ -60,6 +69,53 @@ class _Goal(RunningGoal):
         self.tip_m = tip_m
         self.warnings = warnings
         self.calibration: Calibration | None = None
+        self.drivers_tools: _DriversTools | None = None
+
+
+class _DriversTools:
+    """Asks the node that offers `attach_tool` for its parameter `tools`, the names it knows.
+
+    A driver without that parameter, or one that does not answer, is not known to lack any tool.
+    """
+
+    def __init__(self, node: GoalNode, attach: Client) -> None:
+        self.driver = ""
+        self.tools: list[str] | None = None
+        self._node = node
+        self._service = node.resolve_service_name(attach.srv_name)
+        self._until_s = time.monotonic() + _ANSWER_S
+        self._client: Client | None = None
+        self._answer: Future | None = None
+
+    def is_over(self) -> bool:
+        """Go on asking; return whether there is an answer, or none to wait for any longer."""
+        if self._answer is not None and self._answer.done():
+            for value in self._answer.result().values:
+                if value.type == ParameterType.PARAMETER_STRING_ARRAY:
+                    self.tools = list(value.string_array_value)
+        elif time.monotonic() < self._until_s:
+            self._ask()
+            return False
+        if self._client is not None:
+            self._node.destroy_client(self._client)
+        return True
+
+    def _ask(self) -> None:
+        if self._client is None:
+            self.driver = self._service_owner()
+            if self.driver:
+                name = f"{self.driver}/get_parameters"
+                self._client = self._node.create_client(GetParameters, name)
+        elif self._answer is None and self._client.service_is_ready():
+            self._answer = self._client.call_async(GetParameters.Request(names=["tools"]))
+
+    def _service_owner(self) -> str:
+        for name, namespace in self._node.get_node_names_and_namespaces():
+            with suppress(NodeNameNonExistentError):  # gone since it was listed
+                services = self._node.get_service_names_and_types_by_node(name, namespace)
+                if any(offered == self._service for offered, _ in services):
+                    return f"{namespace.rstrip('/')}/{name}"
+        return ""
 
 
 class CalibrateAction(ArmAction):
@@ -165,6 +221,26 @@ class CalibrateAction(ArmAction):
         """Return the clients of the services that the goal can't do without."""
         by_service = goal.handle.request.attach_by_service
         return [self._zero_client, self._attach_client] if by_service else [self._zero_client]
+
+    def find_missing(self, goal: _Goal) -> tuple[IntEnum, str] | None:
+        """Ask a driver that changes tools whether it knows this one, before the arm moves."""
+        request = goal.handle.request
+        if not request.attach_by_service:
+            return None
+        if goal.drivers_tools is None:
+            goal.drivers_tools = _DriversTools(self.node, self._attach_client)
+            goal.preflight_s = 0.0  # topics and services are there; this has a time-out of its own
+        asked = goal.drivers_tools
+        if not asked.is_over():
+            return CalibrationCode.SERVICE_FAILED, f"{asked.driver} does not answer"
+        if asked.tools is not None and request.tool not in asked.tools:
+            goal.procedure.fail(
+                CalibrationCode.SERVICE_FAILED,
+                f"attach_tool can't put {request.tool!r} on: {asked.driver} knows"
+                f" {', '.join(asked.tools) or 'no tool'} (its parameter 'tools'); correct the"
+                " name, or calibrate by hand",
+            )
+        return None
 
     def obey(self, goal: _Goal, command: Any) -> None:
         """Give feedback, call the driver's services, estimate."""

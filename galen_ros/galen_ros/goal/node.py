@@ -125,6 +125,10 @@ class ArmAction(ABC):
         """Return the clients of the services that the goal can't do without."""
         return []
 
+    def find_missing(self, goal: Any) -> tuple[IntEnum, str] | None:
+        """Return what the goal waits for beside topics, services and the arm."""
+        return None
+
     def silent_text(self, topics: list[str]) -> str:
         """Return what is wrong where topics have no publisher."""
         return f"no publisher on {' and '.join(topics)}: is the driver running?"
@@ -348,7 +352,9 @@ class GoalNode(Node):
 
     def _check_driver(self, goal: RunningGoal) -> None:
         """Start the procedure once everything it needs is there, or say what is missing."""
-        missing = self._find_missing(goal)
+        missing = self._find_missing(goal) or goal.action.find_missing(goal)
+        if goal.procedure.ending:
+            return
         if missing is None:
             goal.preflight_s = None
             # Not before: this node's own subscription would count as a listener.
