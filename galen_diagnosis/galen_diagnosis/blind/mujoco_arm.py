@@ -157,9 +157,7 @@ class MujocoArm:
         self._nominal = nominal
         self._mj = require_mujoco()
         self._spec = self._mj.MjSpec()
-        # The load's weight seats a gap and moves a loose part: there no drive may carry it.
-        moves = plant.gap is not None or plant.inner is not None
-        self._carried = 0.0 if moves else 1.0 - plant.weight
+        self._carried = 1.0 - plant.weight
         self._stiffness: list[float] = []
         self._build()
         self._model = self._spec.compile()
@@ -233,7 +231,7 @@ class MujocoArm:
         if gap is not None and gap.joint == joint.name:
             half = 0.5 * gap.range_rad
             link.add_joint(
-                type=kind, axis=joint.axis, limited=1, range=[-half, half],
+                name="gap", type=kind, axis=joint.axis, limited=1, range=[-half, half],
                 stiffness=[gap.soft, 0.0, 0.0], damping=[0.2, 0.0, 0.0],
                 frictionloss=gap.friction, solref_limit=_HARD, solimp_limit=_HARD_IMPEDANCE,
                 solref_friction=_HARD, solimp_friction=_HARD_IMPEDANCE,
@@ -285,6 +283,8 @@ class MujocoArm:
         if plant.inner is not None:
             tool = Body(tool.mass_kg - plant.inner.mass_kg, tool.com_m, tool.inertia_kg_m2)
         body = self._rigid(adapter, "tool", tool)
+        # Its own weight moves the inner mass; the drives carry it where it hangs.
+        body.gravcomp = self._carried * plant.tool.mass_kg / tool.mass_kg
         body.add_site(name="tip", pos=plant.tip_m)
         if plant.inner is not None:
             self._inner(body, plant.inner, tool.com_m)
@@ -321,7 +321,7 @@ class MujocoArm:
     def _inner(self, tool: Any, inner: InnerMass, com_m: Array) -> None:
         """Slides along ft_sensor's axes, on springs between hard ends."""
         mass = self._body(tool, "inner", inner.mass_kg, 0.005, pos=com_m)
-        mass.gravcomp = self._carried
+        mass.gravcomp = 0.0
         for axis, reach in zip(np.eye(3), inner.range_m, strict=True):
             if reach:
                 mass.add_joint(
@@ -362,11 +362,12 @@ class MujocoArm:
         control = self._controls(true, self._damping)
         settle = round(_SETTLE_S / STEP_S)
         control = np.concatenate([np.tile(control[:1], (settle, 1)), control])
+        seated = np.concatenate([np.zeros((settle, self._model.nv)), self._seated(true)])
+        control = np.concatenate([control, seated], axis=1)
         applied = np.zeros((len(control), 0))
-        spec = self._mj.mjtState.mjSTATE_CTRL
+        spec = self._mj.mjtState.mjSTATE_CTRL | self._mj.mjtState.mjSTATE_QFRC_APPLIED
         if push is not None:
-            world = np.concatenate([np.zeros((settle, 6)), self._in_base(true, push)])
-            applied = world
+            applied = np.concatenate([np.zeros((settle, 6)), self._in_base(true, push)])
             spec |= self._mj.mjtState.mjSTATE_XFRC_APPLIED
         rows = self._rollout(true[0], control, applied, spec)[settle:]
         return self._trace(at_s, rows)
@@ -383,6 +384,23 @@ class MujocoArm:
             return np.asarray(wanted)
         velocity = np.gradient(wanted, STEP_S, axis=0)
         return np.asarray(wanted + damping / np.array(self._stiffness) * velocity)
+
+    def _seated(self, true: Array) -> Array:
+        """Generalized forces (n, nv): the load's weight on a gap, which drives carry elsewhere."""
+        forces = np.zeros((len(true), self._model.nv))
+        plant = self.plant
+        if plant.gap is None:
+            return forces
+        arm = plant.arm
+        origins, axes = arm.joint_axes(true)
+        number = arm.joint_names.index(plant.gap.joint)
+        rotation, place = arm.sensor_pose(true)
+        dof = self._model.jnt_dofadr[self._model.joint("gap").id]
+        for body in (plant.tool, plant.adapter):
+            lever = place + rotation @ body.com_m - origins[:, number]
+            moment = np.cross(lever, body.mass_kg * np.asarray(arm.gravity_m_s2))
+            forces[:, dof] += np.sum(axes[:, number] * moment, axis=1)
+        return forces
 
     def _in_base(self, true: Array, push: Array) -> Array:
         """Pushes (n, 6) in base_link's axes about the tool's centre of mass."""
