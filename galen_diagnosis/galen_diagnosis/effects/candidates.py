@@ -177,7 +177,8 @@ def _plain(name: str, label: str, effect: Effect, free: np.ndarray) -> Candidate
 
 def _compliances(_: Observation) -> Iterator[Candidate]:
     for index, spring in enumerate(JointCompliance.fitted):
-        one = _plain("joint_compliance", spring.name, JointCompliance(), np.array([index]))
+        name = spring.name.removeprefix("softness_")
+        one = _plain("joint_compliance", name, JointCompliance(), np.array([index]))
         # Of exactly 0 the effect keeps the spring nominal, and a fit can't leave it.
         yield replace(one, probe=np.array([0.05]))
     count = len(JointCompliance.fitted)
