@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from galen_deflection.models.springs import Springs
-from galen_model.arm.galen import GALEN, HOME
+from galen_model.arm.galen import GALEN
 from galen_model.registration import Transform
 from galen_model.rotation import rotvec_to_matrix
 
@@ -24,7 +24,7 @@ class FakeArm:
     def __init__(self, seed=1):
         self.random = np.random.default_rng(seed)
         self.stamp_ns = 1_000_000_000
-        self.joints = np.array(HOME, float)
+        self.joints = np.array(GALEN.home, float)
         self.load = np.zeros(6)  # at the tip in base_link
         self.drift = np.zeros(5)  # of the joints, m and rad per s, at any time
         self.ignored_joints = ()

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from galen_deflection.collection.node import CollectionNode
 from galen_gravcomp.node import GravcompNode
-from galen_model.arm.galen import HOME
+from galen_model.arm.galen import GALEN
 from galen_ros.node.testing import parameters
 from galen_sim_driver.node import SimDriverNode
 from rclpy.action import ActionClient
@@ -28,7 +28,7 @@ QUICK = {
     "hold_s": 0.3,
     "rest_s": 0.3,
 }
-POSITIONS = [*HOME.tolist(), 0.03, -0.03, 0.42, 0.5, -0.4]
+POSITIONS = [*GALEN.home.tolist(), 0.03, -0.03, 0.42, 0.5, -0.4]
 
 
 class CollectionWorld:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from galen_bags.formats.writer import BagWriter
-from galen_model.arm.galen import GALEN, JOINT_NAMES, SENSOR
+from galen_model.arm.galen import GALEN, SENSOR
 from galen_model.files.calibration_file import read_calibration
 from galen_model.load.prediction import Prediction
 from galen_model.registration import IDENTITY, Transform, move_wrench
@@ -156,7 +156,7 @@ def write(path: Path, topics: dict[str, Topic], frame: str = "tracker") -> Path:
     fill = {
         JOINTS: (
             "sensor_msgs/msg/JointState",
-            lambda stamp, row: joint_state_bytes(JOINT_NAMES).fill(stamp, row, [0.0] * 5),
+            lambda stamp, row: joint_state_bytes(GALEN.joint_names).fill(stamp, row, [0.0] * 5),
         ),
         WRENCH: ("geometry_msgs/msg/WrenchStamped", wrench_bytes("ft_sensor").fill),
     }

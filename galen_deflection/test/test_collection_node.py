@@ -153,11 +153,10 @@ def test_from_the_simulated_arm_to_the_compliances_of_its_joints(tmp_path):
     """Collect, read, split, fit: what comes out is what the simulated arm is made of."""
     with Harness() as harness:
         world = CollectionWorld(harness, tmp_path)
-        positions = [*POSITIONS, -0.04, 0.02, 0.39, -0.6, 0.4, 0.02, 0.04, 0.41, 0.2, 0.6]
-        handle = world.send(positions=positions)
+        handle = world.send()
         status, result = world.result(handle, 400.0)
         assert status == GoalStatus.STATUS_SUCCEEDED, result.error_msg
-        assert (result.pushes, result.pushes_asked) == (48, 48), list(result.left_out)
+        assert (result.pushes, result.pushes_asked) == (24, 24), list(result.left_out)
         assert result.calibration_holds
         assert np.linalg.norm(result.calibration_shift[:3]) < 5e-5
         assert [w for w in result.warnings if "lost on the way" in w] == []
@@ -169,7 +168,7 @@ def test_from_the_simulated_arm_to_the_compliances_of_its_joints(tmp_path):
         "calibration_1", "calibration_2", "collection.json", "push", "tool.json"
     ]  # fmt: skip
     content = json.loads((folder / "collection.json").read_text())
-    assert content["finished"] and content["pushes"] == 48 and content["left_out"] == []
+    assert content["finished"] and content["pushes"] == 24 and content["left_out"] == []
     messages = 0
     for bag_path in ("calibration_1", "push", "calibration_2"):
         with open_bag(folder / bag_path) as bag:
@@ -183,13 +182,13 @@ def test_from_the_simulated_arm_to_the_compliances_of_its_joints(tmp_path):
     assert not any("not untouched at first" in problem for problem in recording.problems)
     measured = measure_deflection(recording)
     samples = measured.samples
-    assert sets_of(samples) == {0: [0, 1], 1: [0, 1], 2: [0, 1], 3: [0, 1]}
+    assert sets_of(samples) == {0: [0, 1], 1: [0, 1]}
     for split in report_splits(samples):
-        for part, count in ((~split.check, 6), (split.check, 2)):
+        for part, count in ((~split.check, 3), (split.check, 1)):
             picked = np.stack([samples.position[part], samples.set_number[part]], axis=1)
             assert len(np.unique(picked, axis=0)) == count
     # A busy machine stalls the simulation, which reading takes for jumps of the stamps.
-    assert len(find_pushes(samples, tip_wrench(samples))) >= 24
+    assert len(find_pushes(samples, tip_wrench(samples))) >= 12
 
     model = fit_stiffness(samples)
     nominal = np.array([kind.compliance for kind in kinds()])  # what the driver's arm has

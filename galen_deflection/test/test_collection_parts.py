@@ -18,14 +18,14 @@ from galen_deflection.collection.plan import (
 from galen_deflection.collection.recorder import CollectionFolder
 from galen_deflection.collection.watches import MarkerPoses, PushWatch
 from galen_deflection.errors import DeflectionError
-from galen_model.arm.galen import HOME
+from galen_model.arm.galen import GALEN
 from galen_model.errors import ToolNameError
 from galen_model.files.calibration_file import read_calibration
 from push_bag import TOOL
 
 from galen_msgs.action import CollectPushes
 
-HERE = HOME.tolist()
+HERE = GALEN.home.tolist()
 THERE = [0.02, -0.02, 0.42, 0.3, -0.2]
 
 
