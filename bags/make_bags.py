@@ -25,7 +25,7 @@ from galen_bags.formats.writer import BagWriter
 from galen_calibration_behavior.calibration.estimate import estimate
 from galen_calibration_behavior.calibration.procedure import CalibrationRequest
 from galen_calibration_behavior.parameters import CalibrationParameters
-from galen_model.arm.galen import GALEN, HOME, JOINT_NAMES
+from galen_model.arm.galen import GALEN
 from galen_model.errors import CalibrationFileError, GalenError
 from galen_model.files.calibration_file import read_calibration
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
@@ -101,7 +101,7 @@ def _free_motion(cell: OfflineCell, _recipe: Recipe, _folder: Path) -> None:
     for _ in range(_STRETCHES):
         times = _POINT_S * np.arange(1, round(_STRETCH_S / _POINT_S) + 1)
         points = [_swing(phase_s, time_s) for time_s in times.tolist()]
-        cell.plant.command(Trajectory(list(JOINT_NAMES), points))
+        cell.plant.command(Trajectory(list(GALEN.joint_names), points))
         cell.run(_STRETCH_S + _STOP_S)
         phase_s += _progress(_STRETCH_S)[0]
 
@@ -111,7 +111,7 @@ def _swing(phase_s: float, time_s: float) -> TrajectoryPoint:
     progress, speed, speed_change = _progress(time_s)
     angular = 2.0 * math.pi * _FREQUENCY_HZ
     angle = angular * (phase_s + progress)
-    position = HOME + _AMPLITUDE * np.sin(angle)
+    position = GALEN.home + _AMPLITUDE * np.sin(angle)
     by_phase = _AMPLITUDE * angular * np.cos(angle)
     by_phase_twice = -_AMPLITUDE * angular**2 * np.sin(angle)
     velocity = by_phase * speed
@@ -151,10 +151,10 @@ def _swings(cell: OfflineCell, recipe: Recipe, _folder: Path) -> None:
     """Move to random places, each as fast as the arm's limits allow."""
     rng = np.random.default_rng(recipe.seed)
     velocity, acceleration = np.array(VELOCITY), np.array(ACCELERATION)
-    joints = HOME
+    joints = GALEN.home
     cell.run(1.5)
     for _ in range(_SWING_MOVES):
-        target = HOME + _SWING_RANGE * rng.uniform(-1.0, 1.0, 5)
+        target = GALEN.home + _SWING_RANGE * rng.uniform(-1.0, 1.0, 5)
         way = np.abs(target - joints)
         # The peaks of a quintic from rest to rest: 1.875 way / T, 5.7735 way / T^2.
         duration_s = max(
@@ -174,7 +174,7 @@ CABLE = CableDrag(
     tension_n=0.3,
     attachment_m=_ATTACHMENT_M,
     stretch_per_m=1.0 / 0.3,
-    reference_m=tuple(GALEN.tip_pose(HOME, _ATTACHMENT_M)[1].tolist()),
+    reference_m=tuple(GALEN.tip_pose(GALEN.home, _ATTACHMENT_M)[1].tolist()),
 )
 
 
@@ -183,7 +183,7 @@ def _sweep(cell: OfflineCell, _recipe: Recipe, _folder: Path) -> None:
     parameters = CalibrationParameters()
     cell.run(1.0)
     for angles in parameters.grid_poses(parameters.itersT, parameters.itersR):
-        cell.move_to([*HOME[:3].tolist(), *angles.tolist()], 1.2)
+        cell.move_to([*GALEN.home[:3].tolist(), *angles.tolist()], 1.2)
         cell.run(1.2 + 0.9)
     cell.run(0.5)
 

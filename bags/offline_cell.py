@@ -22,7 +22,7 @@ from galen_calibration_behavior.commands import (
     ZeroSensor,
 )
 from galen_calibration_behavior.parameters import CalibrationParameters
-from galen_model.arm.galen import JOINT_NAMES, SENSOR_FRAME, TRACKER_FRAME
+from galen_model.arm.galen import GALEN, SENSOR_FRAME, TRACKER_FRAME
 from galen_model.errors import GalenError
 from galen_ros.cdr import joint_state_bytes, pose_bytes, wrench_bytes
 from galen_ros.goal.procedure import MoveTo, Stop
@@ -70,9 +70,9 @@ class OfflineCell:
 
     def move_to(self, joints: Sequence[float], duration_s: float) -> None:
         """Order a move from rest to rest to `joints` (5,), m and rad, as the calibration does."""
-        rest = [0.0] * len(JOINT_NAMES)
+        rest = [0.0] * len(GALEN.joint_names)
         point = TrajectoryPoint(duration_s, [float(value) for value in joints], rest, rest)
-        self.plant.command(Trajectory(list(JOINT_NAMES), [point]))
+        self.plant.command(Trajectory(list(GALEN.joint_names), [point]))
 
     def play_hand(self) -> None:
         """Play the hand's script to its end."""
@@ -172,7 +172,7 @@ class CellBag:
         self._bag = bag
         self._joint_states = bag.add_topic("joint_states", "sensor_msgs/msg/JointState")
         self._wrench_raw = bag.add_topic("wrench_raw", "geometry_msgs/msg/WrenchStamped")
-        self._joint_bytes = joint_state_bytes(JOINT_NAMES)
+        self._joint_bytes = joint_state_bytes(GALEN.joint_names)
         self._wrench_bytes = wrench_bytes(SENSOR_FRAME)
         self._tracker = tracker
         if tracker:

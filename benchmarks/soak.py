@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from galen_bringup.processes import Processes, ros_arguments, ros_world
-from galen_model.arm.galen import HOME, JOINT_NAMES
+from galen_model.arm.galen import GALEN
 from galen_model.files.atomic_file import write_whole
 from galen_ros.cdr import NS_PER_S, STAMP_AT
 from galen_ros.messages import STREAM
@@ -267,10 +267,10 @@ class Listener(Node):
 
     def move(self) -> None:
         """Send the arm somewhere."""
-        joints = HOME + self._rng.uniform(-1, 1, 5) * [0.05, 0.05, 0.04, 1.2, 0.8]
+        joints = GALEN.home + self._rng.uniform(-1, 1, 5) * [0.05, 0.05, 0.04, 1.2, 0.8]
         point = JointTrajectoryPoint(positions=joints.tolist())
         point.time_from_start.sec = int(_MOVE_EVERY_S) - 1
-        self._move.publish(JointTrajectory(joint_names=list(JOINT_NAMES), points=[point]))
+        self._move.publish(JointTrajectory(joint_names=list(GALEN.joint_names), points=[point]))
 
 
 def _stamp_ns(data: bytes) -> int:

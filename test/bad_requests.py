@@ -17,7 +17,7 @@ from galen_calibration_behavior.node import CalibrationNode
 from galen_deflection.collection.node import CollectionNode
 from galen_deflection.node import DeflectionNode
 from galen_gravcomp.node import GravcompNode
-from galen_model.arm.galen import HOME
+from galen_model.arm.galen import GALEN
 from galen_model.files.calibration_file import calibration_path, write_calibration
 from galen_ros.messages import STREAM, wrench_to_array
 from galen_ros.node.testing import Harness, parameters
@@ -61,7 +61,7 @@ SERVICES: dict[str, tuple[type, dict[str, Any], Bad]] = {
     "gravcomp/set_tool": (SetTool, {}, {"tool": NAMES}),
     "gravcomp/get_tool": (
         GetTool,
-        {"tool": "pointer", "frame": "base_link", "joints": [*HOME]},
+        {"tool": "pointer", "frame": "base_link", "joints": [*GALEN.home]},
         {
             "tool": NAMES,
             "frame": [*NAMES, "/base_link"],

@@ -30,7 +30,7 @@ from galen_bags.arrays.arm_recording import ArmReader
 from galen_bags.formats.bag import open_bag
 from galen_bags.formats.writer import BagWriter
 from galen_gravcomp.evaluate.bag import evaluate_bag
-from galen_model.arm.galen import JOINT_NAMES, SENSOR
+from galen_model.arm.galen import GALEN, SENSOR
 from galen_model.files.calibration_file import read_calibration, write_calibration
 from galen_ros.cdr import joint_state_bytes, wrench_bytes
 from rich.table import Table
@@ -63,7 +63,7 @@ def generate(path: Path, hours: float, *, quiet: bool) -> int:
     tool = bench_tool()
     period_ns = round(1e9 / _RATE_HZ)
     total = round(hours * 3600.0 * _RATE_HZ)
-    states, forces = joint_state_bytes(JOINT_NAMES), wrench_bytes("ft_sensor")
+    states, forces = joint_state_bytes(GALEN.joint_names), wrench_bytes("ft_sensor")
     goals = rng.uniform([-1.3, -0.9], [1.3, 0.9], size=(round(hours * 3600 / 6) + 2, 2))
     with (
         BagWriter(path) as bag,

@@ -15,7 +15,7 @@ import time
 
 import numpy as np
 import rclpy
-from galen_model.arm.galen import JOINT_NAMES, SENSOR_FRAME
+from galen_model.arm.galen import GALEN, SENSOR_FRAME
 from galen_ros.messages import STREAM, fill_stamp
 from galen_ros.node.spin import run
 from geometry_msgs.msg import PoseStamped, WrenchStamped
@@ -40,7 +40,7 @@ def send(wrench_topic: str, rate_hz: float, moving: bool) -> None:
     joints_publisher = node.create_publisher(JointState, "joint_states", STREAM)
     wrench_publisher = node.create_publisher(WrenchStamped, wrench_topic, STREAM)
     joints, wrench = JointState(), WrenchStamped()
-    joints.name = list(JOINT_NAMES)
+    joints.name = list(GALEN.joint_names)
     home = np.array([0.0, 0.0, 0.408, 0.2, -0.1])
     joints.position = home.tolist()
     joints.velocity = [0.0] * 5

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
-from galen_model.arm.galen import JOINT_NAMES
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.poses.order import quintic_duration_s
@@ -55,7 +55,7 @@ class ArmClient(Node):
         self._check = check
         self._executor = make_executor()
         self._executor.add_node(self)
-        self._reader = JointWire(JOINT_NAMES)
+        self._reader = JointWire(GALEN.joint_names)
         self.stamp_ns = 0
         self.position: Array | None = None
         self.on_joints: JointListener | None = None
@@ -126,7 +126,7 @@ class ArmClient(Node):
 
     def follow(self, targets: Sequence[Array], times_s: Sequence[float], start_ns: int = 0) -> None:
         """Send a trajectory through joints (5,) at rest in each; start_ns 0 means now."""
-        message = JointTrajectory(joint_names=list(JOINT_NAMES))
+        message = JointTrajectory(joint_names=list(GALEN.joint_names))
         fill_stamp(message.header.stamp, start_ns)
         for target, time_s in zip(targets, times_s, strict=True):
             message.points.append(

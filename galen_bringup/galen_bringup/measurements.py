@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from galen_model.arm.galen import GALEN, HOME
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.rest.pose import PoseRecord, StillnessSettings
 from galen_model.rotation import matrix_to_rotvec
@@ -70,8 +70,8 @@ class PoseReadings:
 
 def random_poses(count: int, rng: np.random.Generator) -> Array:
     """Joints (count, 5) spread over the workspace, in an order that keeps the way short."""
-    low = HOME + [-0.02, -0.02, -0.02, -1.5, -1.0]
-    high = HOME + [0.02, 0.02, 0.02, 1.5, 0.9]
+    low = GALEN.home + [-0.02, -0.02, -0.02, -1.5, -1.0]
+    high = GALEN.home + [0.02, 0.02, 0.02, 1.5, 0.9]
     poses = rng.uniform(low, high, (count, 5))
     left = list(range(1, count))
     order = [0]
@@ -207,8 +207,8 @@ def _run(arm: ArmClient, mode: str) -> tuple[Array, Array]:
 
 
 def _go_home(arm: ArmClient) -> None:
-    arm.move_to(HOME)
-    arm.wait_for(lambda: _is_at(arm, HOME), 60.0, "the arm to come home")
+    arm.move_to(GALEN.home)
+    arm.wait_for(lambda: _is_at(arm, GALEN.home), 60.0, "the arm to come home")
     settled_ns = arm.stamp_ns + _NS // 2
     arm.wait_for(lambda: arm.stamp_ns > settled_ns, 60.0, "joint_states")
 
@@ -221,7 +221,7 @@ def _follow(arm: ArmClient, source: str | None) -> tuple[Array, Array]:
     """Time (n,) since the trajectory's start and joints (n, 5)."""
     # The first point is home at the very start: what lies between now and then is no motion, so
     # that the runs don't differ by when the trajectory came in.
-    targets, times = [HOME], [0.0]
+    targets, times = [GALEN.home], [0.0]
     for turn, angles in enumerate(TURNS):
         target = GALEN.with_angles(angles)
         start_s = turn * (_MOVE_S + _HOLD_S)

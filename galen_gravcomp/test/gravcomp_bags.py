@@ -3,7 +3,7 @@
 import numpy as np
 from calibration_files import tool_file  # noqa: F401 - for those who use recordings
 from galen_bags.formats.writer import BagWriter
-from galen_model.arm.galen import JOINT_NAMES, SENSOR
+from galen_model.arm.galen import GALEN, SENSOR
 from galen_ros.cdr import joint_state_bytes, wrench_bytes
 
 START_NS = 1_700_000_000_000_000_000
@@ -41,7 +41,7 @@ class Recording:
     def time_s(self):
         return (self.stamp_ns - self.stamp_ns[0]) * 1e-9
 
-    def write(self, path, *, joint_names=JOINT_NAMES, frame_id="ft_sensor", namespace=""):
+    def write(self, path, *, joint_names=GALEN.joint_names, frame_id="ft_sensor", namespace=""):
         """Quantise and write; samples not `kept` are left out. Joints come before wrenches."""
         quantised = np.round(self.wrench / SENSOR.quantum) * SENSOR.quantum
         states, forces = joint_state_bytes(joint_names), wrench_bytes(frame_id)

@@ -3,7 +3,7 @@
 import calibration_files
 import numpy as np
 import pinocchio
-from galen_model.arm.galen import ENCODER_QUANTUM, HOME, SENSOR
+from galen_model.arm.galen import ENCODER_QUANTUM, GALEN, SENSOR
 from galen_model.arm.pinocchio_arm import PinocchioArm
 from galen_model.load.inertia import InertiaEstimate, inertia_matrix, point_mass_inertia
 from galen_model.load.model import Load, gravity_wrench
@@ -26,7 +26,7 @@ def swing(times, share=1.0):
     size = share * np.minimum(FASTEST / rates, STRONGEST / rates**2)
     angle = np.outer(times, rates) + np.arange(5.0)
     return (
-        HOME + size * np.sin(angle),
+        GALEN.home + size * np.sin(angle),
         size * rates * np.cos(angle),
         -size * rates**2 * np.sin(angle),
     )
@@ -52,7 +52,7 @@ def readings(motion):
         felt = pinocchio.getFrameAcceleration(*at) - turned.actInv(gravity)
         rate = body * felt + twist.cross(body * twist)
         rows.append(-np.r_[rate.linear, rate.angular])
-    home = pinocchio.SE3(arm.pose(HOME)[0], np.zeros(3)).actInv(gravity).linear
+    home = pinocchio.SE3(arm.pose(GALEN.home)[0], np.zeros(3)).actInv(gravity).linear
     return np.array(rows) - gravity_wrench(home, ADAPTER)
 
 

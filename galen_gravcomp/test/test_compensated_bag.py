@@ -6,7 +6,7 @@ import numpy as np
 from galen_bags.formats.bag import open_bag
 from galen_bags.formats.writer import BagWriter
 from galen_gravcomp.evaluate.bag import BagJob
-from galen_model.arm.galen import JOINT_NAMES
+from galen_model.arm.galen import GALEN
 from galen_model.files.calibration_file import write_calibration
 from galen_ros.cdr import joint_state_bytes, wrench_bytes
 from gravcomp_bags import START_NS, tool_file
@@ -16,7 +16,7 @@ PERIOD_NS = 2_000_000
 
 def written(tmp_path: Path, monkeypatch, *, joints_late: bool = False, old_result: bool = False):
     """Write a bag through a job; what it wrote: topic, log time and bytes, in its order."""
-    wrench, joints = wrench_bytes("ft_sensor"), joint_state_bytes(JOINT_NAMES)
+    wrench, joints = wrench_bytes("ft_sensor"), joint_state_bytes(GALEN.joint_names)
     with BagWriter(tmp_path / "bag") as bag:
         topics = {
             name: bag.add_topic(name, f"{kind}/msg/{type_name}")

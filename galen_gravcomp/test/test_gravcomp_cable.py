@@ -9,7 +9,7 @@ from galen_gravcomp.compensator import Compensator
 from galen_gravcomp.corrections.cable import CablePull
 from galen_gravcomp.monitor import Monitor
 from galen_gravcomp.parameters import GravcompParameters
-from galen_model.arm.galen import HOME, SENSOR
+from galen_model.arm.galen import GALEN, SENSOR
 from galen_model.load.cable import FORMS, LearnedPull, form_matrices
 from galen_ros.stream.monitor import Severity
 from galen_ros.stream.samples import PairedWrench, Rejection
@@ -23,7 +23,7 @@ AT = np.array([0.09, 0.01, 0.05])
 def a_drag(form="point", seed=0):
     """A cable learned from 20 poses at home's place."""
     roll, tilt = np.meshgrid(np.linspace(-1.0, 1.0, 5), np.linspace(-0.8, 0.8, 4), indexing="ij")
-    joints = np.tile(HOME, (20, 1))
+    joints = np.tile(GALEN.home, (20, 1))
     joints[:, 3], joints[:, 4] = roll.ravel(), tilt.ravel()
     matrices = form_matrices("point_and_couple", joints, AT)
     force = np.array([0.2, -0.15, 0.1]) + 0.05 * np.sin(joints[:, 3:4] + [0.0, 1.0, 2.0])
@@ -43,7 +43,7 @@ def a_tool(cable=None):
 def motion(count=1500):
     """Joints (n, 5) that leave the poses seen in the last third, and come back."""
     t = np.linspace(0.0, 1.0, count)
-    joints = np.tile(HOME, (count, 1))
+    joints = np.tile(GALEN.home, (count, 1))
     joints[:, 3] = 0.9 * np.sin(5.0 * t)
     joints[:, 4] = 0.6 * np.sin(7.0 * t + 1.0)
     joints[:, 0] += 0.2 * np.clip(np.sin(3.0 * np.pi * t - 2.0 * np.pi), 0.0, None) * (t > 0.66)
@@ -78,7 +78,7 @@ def one_by_one(compensator, joints, raw, lag=1):
 def test_the_fast_way_is_the_posteriors(form):
     drag = a_drag(form)
     rng = np.random.default_rng(1)
-    joints = HOME + rng.uniform(-1.0, 1.0, (300, 5)) * [0.15, 0.05, 0.05, 1.6, 1.2]
+    joints = GALEN.home + rng.uniform(-1.0, 1.0, (300, 5)) * [0.15, 0.05, 0.05, 1.6, 1.2]
     pull, expected = CablePull(drag), drag.posterior.readings(joints)
     found = np.array([pull.reading(tuple(q)) for q in joints.tolist()])
     assert np.abs(found - expected).max() < 1e-12
@@ -148,12 +148,12 @@ def test_a_tool_with_a_cable_and_one_without_follow_each_other():
     plain, corded = a_tool(), a_tool(a_drag())
     compensator = Compensator()
     compensator.set_tool(plain)
-    q = HOME.tolist()
+    q = GALEN.home.tolist()
 
     def step(number):
         stamp_ns = START_NS + number * PERIOD_NS
         compensator.push_joints(stamp_ns, tuple(q))
-        return compensator.push_wrench(stamp_ns, raw_of(corded, HOME[None])[0])
+        return compensator.push_wrench(stamp_ns, raw_of(corded, GALEN.home[None])[0])
 
     (first,) = step(1)
     assert np.abs(first.wrench).max() > 0.1

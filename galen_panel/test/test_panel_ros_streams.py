@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from galen_model.arm.galen import JOINT_NAMES
+from galen_model.arm.galen import GALEN
 from galen_panel.ros import streams as ros_streams
 from galen_ros.cdr import deflection_bytes, joint_state_bytes, wrench_bytes
 from galen_ros.messages import STREAM
@@ -36,7 +36,7 @@ class Source(Node):
         self.streams = {
             topic: self.create_publisher(kind, topic, STREAM) for topic, kind in KINDS.items()
         }
-        wrench, joints = wrench_bytes("ft_sensor"), joint_state_bytes(("other", *JOINT_NAMES))
+        wrench, joints = wrench_bytes("ft_sensor"), joint_state_bytes(("other", *GALEN.joint_names))
         deflection = deflection_bytes("base_link")
         self.make = {
             "wrench_raw": lambda t, k: wrench.fill(t, [k, 1, 2, 3, 4, 5]),

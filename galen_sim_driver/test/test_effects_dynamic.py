@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from galen_model.arm.galen import GALEN, HOME, JOINT_NAMES
+from galen_model.arm.galen import GALEN
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from galen_model.rotation import matrix_to_rotvec, rotvec_to_matrix
 from galen_sim_driver.effects.effect import ConfigError, Instants, Loading, Posture
@@ -65,7 +65,7 @@ def loading(joints, load, direction=(0.0, 1.0, 0.0, 0.0, 0.0, 0.0)):
 def test_a_cable_pulls_along_its_line_without_a_moment_about_its_anchor():
     drag = CableDrag(0.3, bending_nm=0.02)
     rng = np.random.default_rng(1)
-    joints = HOME + rng.uniform(-1.0, 1.0, (30, 5)) * [0.14, 0.14, 0.2, 1.5, 0.9]
+    joints = GALEN.home + rng.uniform(-1.0, 1.0, (30, 5)) * [0.14, 0.14, 0.2, 1.5, 0.9]
     rotation, origin = GALEN.sensor_pose(joints)
     posture = Posture(joints, rotation, origin, None, None, POINTER.load, ADAPTER, POINTER.tip_m)
 
@@ -89,7 +89,7 @@ def test_a_cable_pulls_along_its_line_without_a_moment_about_its_anchor():
     assert (tension[taut < 0.0] < 0.06).all()
     assert (np.diff(tension[np.argsort(length)]) > 0.0).all()
     # Bending: none at home, and a force of B |n x l| / d across the line.
-    home_rotation, home_origin = GALEN.sensor_pose(HOME)
+    home_rotation, home_origin = GALEN.sensor_pose(GALEN.home)
     at_home = home_rotation.T @ (np.array(drag.anchor_m) - home_origin) - drag.attachment_m
     here = np.einsum("nji,nj->ni", rotation, line) / length[:, None]
     turned = np.linalg.norm(np.cross(at_home / np.linalg.norm(at_home), here), axis=1)
@@ -111,7 +111,7 @@ def test_a_cable_pulls_along_its_line_without_a_moment_about_its_anchor():
 
 def test_the_tension_is_the_mean_one_where_the_reference_is_centred():
     rng = np.random.default_rng(3)
-    joints = HOME + rng.uniform(-1.0, 1.0, (400, 5)) * [0.05, 0.05, 0.05, 1.2, 0.8]
+    joints = GALEN.home + rng.uniform(-1.0, 1.0, (400, 5)) * [0.05, 0.05, 0.05, 1.2, 0.8]
     rotation, origin = GALEN.sensor_pose(joints)
     drag = CableDrag(0.2).centred(rotation, origin)
     tension = drag.tension(rotation, origin)
@@ -189,7 +189,7 @@ def test_the_fraction_is_left_after_the_largest_push_on_its_side(form, side):
 def test_the_tips_state_solves_its_equation():
     knee, fraction = 0.3, 0.1
     load = pushes([0.0, 8.0, -10.0, 5.0, -2.0, 0.0], samples=4000)
-    given = loading(HOME, load)
+    given = loading(GALEN.home, load)
     effect = DeflectionHysteresis(fraction, 1.0, "tip", knee)
     found = effect.fresh().deflect(instants(len(load)), given)[:, 1]
     e = given.elastic[:, 1]
@@ -229,8 +229,8 @@ def test_noise_doesnt_wear_the_tips_state_off():
     rng = np.random.default_rng(7)
     load = np.concatenate([pushes([0.0, 10.0, 0.0]), np.zeros(2000)])
     effect = DeflectionHysteresis(0.08)
-    clean = effect.fresh().deflect(instants(len(load)), loading(HOME, load))[-1, 1]
-    noisy_load = loading(HOME, load + rng.normal(0.0, 0.02, len(load)))
+    clean = effect.fresh().deflect(instants(len(load)), loading(GALEN.home, load))[-1, 1]
+    noisy_load = loading(GALEN.home, load + rng.normal(0.0, 0.02, len(load)))
     noisy = effect.fresh().deflect(instants(len(load)), noisy_load)[-100:, 1].mean()
     assert noisy == pytest.approx(clean, rel=0.03)
 
@@ -240,7 +240,7 @@ def test_noise_doesnt_wear_the_tips_state_off():
 
 def test_a_joint_with_play_lags_by_half_its_gap_after_each_reversal():
     gap = 0.004
-    joints = np.tile(HOME, (4001, 1))
+    joints = np.tile(GALEN.home, (4001, 1))
     joints[:, 4] = pushes([0.0, 0.3, -0.2, 0.1, 0.0], samples=1000)
     effect = Backlash("tilt", gap)
     true = effect.fresh().true_joints(instants(4001), joints)
@@ -263,10 +263,10 @@ def test_a_joint_with_play_lags_by_half_its_gap_after_each_reversal():
     assert again == pytest.approx(true[:, 4], abs=1e-15)
 
 
-@pytest.mark.parametrize("joint", JOINT_NAMES)
+@pytest.mark.parametrize("joint", GALEN.joint_names)
 def test_a_push_takes_a_joint_to_the_side_it_pushes_to_and_leaves_it_there(joint):
     gap = 0.002
-    index = JOINT_NAMES.index(joint)
+    index = GALEN.joint_names.index(joint)
     column = GALEN.tip_jacobian(TURNED, POINTER.tip_m)[:, index]
     # Along the joint's own motion of the tip; then back, then to rest.
     direction = np.concatenate([column[:3], np.zeros(3)]) / np.linalg.norm(column[:3])
@@ -299,9 +299,9 @@ def test_a_push_takes_a_joint_to_the_side_it_pushes_to_and_leaves_it_there(joint
 
 def test_a_late_tracker_sees_what_was_and_a_long_one_sees_it_farther():
     at_s = 0.01 * np.arange(300)
-    joints = np.tile(HOME, (300, 1))
+    joints = np.tile(GALEN.home, (300, 1))
     joints[:, 0] = 0.05 * at_s
-    moving = replace(scene(at_s, HOME, joint_s=at_s), joints=joints)
+    moving = replace(scene(at_s, GALEN.home, joint_s=at_s), joints=joints)
     nominal = Replay(moving).tip(np.zeros((300, 6)))[1]
     late = Replay(moving, [TrackerDelay(0.04)]).tip(np.zeros((300, 6)))[1]
     assert nominal[50:] - late[50:] == pytest.approx(np.tile([0.002, 0.0, 0.0], (250, 1)), abs=1e-9)
@@ -319,7 +319,7 @@ def test_the_bases_marker_moves_once_and_only_in_the_pushes():
     assert (moved[:50] == 0.0).all()
     assert (moved[50:] == [0.001, -0.002, 0.0, 0.0, 0.003, 0.0]).all()
     assert effect.base_marker(instants(100, "sweep")) is None
-    still = scene(0.01 * np.arange(100), HOME)
+    still = scene(0.01 * np.arange(100), GALEN.home)
     assert (Replay(still, [effect]).base_marker() == moved).all()
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio
 import pytest
-from galen_model.arm.galen import GALEN, GRAVITY_M_S2, HOME, SENSOR_FRAME
+from galen_model.arm.galen import GALEN, GRAVITY_M_S2, SENSOR_FRAME
 from galen_model.arm.pinocchio_arm import PinocchioArm
 from galen_model.errors import GalenError
 from galen_model.load.model import Load, gravity_wrench, nominal_reading
@@ -49,7 +49,7 @@ def joints_at(at_s):
     """A motion of all joints in closed form, (n, 5)."""
     amplitude = np.array([0.05, 0.06, 0.04, 1.1, 0.7])
     turns = np.array([1.1, 0.9, 1.3, 0.8, 1.0])
-    return HOME + amplitude * np.sin(np.outer(at_s, turns) + np.arange(5))
+    return GALEN.home + amplitude * np.sin(np.outer(at_s, turns) + np.arange(5))
 
 
 def scene(bag="motion", **changes):
@@ -106,7 +106,7 @@ def reading_of(joints, gravity=GRAVITY_M_S2, tool=lambda gravity: TOOL.load,
     def seen(q):
         return sensor_by_pinocchio(true(np.asarray(q)), **axes)[0].T @ gravity
 
-    now, zero = seen(joints), seen([*HOME[:3], *BIAS])
+    now, zero = seen(joints), seen([*GALEN.home[:3], *BIAS])
     weight = gravity_wrench(now, tool(now)) + gravity_wrench(now, ADAPTER)
     return weight - gravity_wrench(zero, ADAPTER)
 

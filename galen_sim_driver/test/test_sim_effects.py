@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio
 import pytest
-from galen_model.arm.galen import GALEN, GRAVITY_M_S2, HOME, JOINT_NAMES, SENSOR, SENSOR_FRAME
+from galen_model.arm.galen import GALEN, GRAVITY_M_S2, SENSOR, SENSOR_FRAME
 from galen_model.arm.pinocchio_arm import PinocchioArm
 from galen_model.arm.sensor_motion import sensor_motion
 from galen_model.load.model import Load
@@ -32,7 +32,7 @@ def make_plant(tool="retractor", seed=0, **changes):
 
 def move(plant, steps=700):
     point = TrajectoryPoint(1.2, list(TURNED), [0.0] * 5, [0.0] * 5)
-    plant.command(Trajectory(JOINT_NAMES, [point]))
+    plant.command(Trajectory(GALEN.joint_names, [point]))
     return [plant.step() for _ in range(steps)]
 
 
@@ -45,7 +45,7 @@ CABLE = CableDrag(
     0.4,
     bending_nm=0.01,
     stretch_per_m=10.0,
-    reference_m=tuple(GALEN.tip_pose(HOME, (0.08, 0.0, 0.06))[1]),
+    reference_m=tuple(GALEN.tip_pose(GALEN.home, (0.08, 0.0, 0.06))[1]),
 )
 SWUNG = InertialLoad(
     TOOLS["retractor"].load.mass_kg + ADAPTER.mass_kg, tuple(np.add(ADAPTER_INERTIA, TOOL_INERTIA))
@@ -65,7 +65,7 @@ def test_none_is_there_by_default_and_any_leaves_the_noise_what_it_is():
 def test_without_them_the_plant_reads_as_it_did_before_there_were_any():
     plant = make_plant()
     plant.command(
-        Trajectory(JOINT_NAMES, [TrajectoryPoint(1.2, list(TURNED), [0.0] * 5, [0.0] * 5)])
+        Trajectory(GALEN.joint_names, [TrajectoryPoint(1.2, list(TURNED), [0.0] * 5, [0.0] * 5)])
     )
     quanta = np.array([plant.step().wrench for _ in range(500)]) / SENSOR.quantum
     # Sums of a plant that knew none of these effects, and was bit for bit the same over a longer
@@ -99,7 +99,7 @@ def test_forces_of_acceleration_are_those_of_pinocchios_inverse_dynamics():
     model.appendBodyToJoint(tilt, inertia, frame)
     data = model.createData()
     for _ in range(20):
-        joints = HOME + rng.uniform(-1.0, 1.0, 5) * [0.1, 0.1, 0.1, 1.5, 0.9]
+        joints = GALEN.home + rng.uniform(-1.0, 1.0, 5) * [0.1, 0.1, 0.1, 1.5, 0.9]
         velocities, accelerations = rng.uniform(-2.0, 2.0, (2, 5)) * [1.0, 1.0, 1.0, 2.0, 2.0]
         pinocchio.rnea(model, data, joints, velocities, accelerations)
         # The joint carries the load; the load pulls the other way.

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from galen_model.arm.galen import GALEN, HOME
+from galen_model.arm.galen import GALEN
 from galen_model.load.nominal_tools import TOOLS
 from galen_sim_driver.effects.hysteresis import (
     joint_columns,
@@ -119,7 +119,7 @@ KINDS = {
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("joints", [HOME.tolist(), TURNED])
+@pytest.mark.parametrize("joints", [GALEN.home.tolist(), TURNED])
 def test_the_joints_are_those_of_the_nominal_compliance(kind, joints):
     # By the six-rod formula with and without that kind's give; the columns don't come from it.
     which, stiffness = KINDS[kind]

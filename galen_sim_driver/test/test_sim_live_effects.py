@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from galen_model.arm.galen import JOINT_NAMES
+from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from galen_model.rotation import quaternion_to_matrix, rotvec_to_matrix
@@ -54,7 +54,7 @@ def run(effects):
     """What the plant tells of a motion and two pushes: the scene, tracker poses, untouched rows."""
     plant = Plant(replace(EXACT, effects=tuple(effects)), np.random.default_rng(0))
     plant.attach_tool("retractor")
-    plant.command(Trajectory(JOINT_NAMES, [TrajectoryPoint(1.0, WAY, [0.0] * 5, [0.0] * 5)]))
+    plant.command(Trajectory(GALEN.joint_names, [TrajectoryPoint(1.0, WAY, [0.0] * 5, [0.0] * 5)]))
     plant.start_hand()
     samples = [plant.step() for _ in range(round(2.7 * RATE_HZ))]
     stamps = np.array([s.stamp_ns for s in samples]) * 1e-9

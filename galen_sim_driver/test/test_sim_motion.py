@@ -1,7 +1,7 @@
 """Limits hold at every step, references are followed, targets are reached exactly."""
 
 import numpy as np
-from galen_model.arm.galen import GALEN, HOME
+from galen_model.arm.galen import GALEN
 from galen_sim_driver.plant import config
 from galen_sim_driver.plant.motion import LimitedMotion, stopping_distance
 
@@ -11,7 +11,7 @@ VELOCITY, ACCELERATION = np.array(config.VELOCITY), np.array(config.ACCELERATION
 
 def follow(targets, motion=None):
     """Step through targets (n, 5); return positions and velocities (n + 1, 5), start included."""
-    motion = motion or LimitedMotion(GALEN, HOME, PERIOD_S)
+    motion = motion or LimitedMotion(GALEN, GALEN.home, PERIOD_S)
     positions, velocities = [motion.positions.copy()], [motion.velocities.copy()]
     for target in targets:
         motion.step(target)
@@ -28,17 +28,17 @@ def assert_limits(positions, velocities):
 
 
 def test_a_jump_is_reached_exactly_in_the_least_time_without_overshoot():
-    target = HOME + [0.05, -0.10, 0.08, 1.2, -0.7]
+    target = GALEN.home + [0.05, -0.10, 0.08, 1.2, -0.7]
     positions, velocities = follow([target] * 1500)
     assert_limits(positions, velocities)
     assert positions[-1].tolist() == target.tolist()
     assert not velocities[-1].any()
-    sign = np.sign(target - HOME)
+    sign = np.sign(target - GALEN.home)
     assert np.all(np.diff(positions, axis=0) * sign >= 0.0)
     assert np.all((target - positions) * sign >= 0.0)
     # Bang-bang: distance / v + v / a, or 2 sqrt(distance / a) where v_max is not reached; in
     # sampled time a velocity holds for its whole period, which gains one of them.
-    distance = np.abs(target - HOME)
+    distance = np.abs(target - GALEN.home)
     full = distance > VELOCITY**2 / ACCELERATION
     least_s = np.where(
         full, distance / VELOCITY + VELOCITY / ACCELERATION, 2 * np.sqrt(distance / ACCELERATION)
@@ -52,7 +52,7 @@ def test_a_reference_within_the_limits_is_followed_without_lag():
     s = np.arange(1, 1001)[:, None] / 1000
     quintic = 10 * s**3 - 15 * s**4 + 6 * s**5
     # Peak velocity 1.875 d / T and peak acceleration 5.774 d / T^2 stay below the limits.
-    targets = HOME + quintic * np.array([0.1, -0.1, 0.1, 1.4, -0.9])
+    targets = GALEN.home + quintic * np.array([0.1, -0.1, 0.1, 1.4, -0.9])
     positions, velocities = follow(targets)
     assert np.abs(positions[1:] - targets).max() == 0.0
     assert_limits(positions, velocities)
@@ -61,15 +61,17 @@ def test_a_reference_within_the_limits_is_followed_without_lag():
 def test_any_reference_keeps_the_limits():
     rng = np.random.default_rng(3)
     # Random jumps far beyond the limits, every few steps.
-    targets = np.repeat(HOME + rng.normal(0.0, [0.2, 0.2, 0.2, 2.0, 2.0], (300, 5)), 17, axis=0)
+    targets = np.repeat(
+        GALEN.home + rng.normal(0.0, [0.2, 0.2, 0.2, 2.0, 2.0], (300, 5)), 17, axis=0
+    )
     positions, velocities = follow(targets)
     assert_limits(positions, velocities)
     assert positions.max(axis=0)[3] > 1.0  # it did go somewhere
 
 
 def test_stopping_distance_agrees_with_braking():
-    motion = LimitedMotion(GALEN, HOME, PERIOD_S)
-    follow([HOME + 0.1] * 100, motion)
+    motion = LimitedMotion(GALEN, GALEN.home, PERIOD_S)
+    follow([GALEN.home + 0.1] * 100, motion)
     stop = np.array(motion.stopping_positions([0.0] * 5))
     before = np.array(motion.velocities)
     positions, velocities = follow([stop] * 400, motion)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from builtin_interfaces.msg import Duration
 from diagnostic_msgs.msg import DiagnosticArray
-from galen_model.arm.galen import HOME, JOINT_NAMES, SENSOR
+from galen_model.arm.galen import GALEN, SENSOR
 from galen_model.load.model import Load, nominal_reading
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from galen_ros.messages import (
@@ -161,8 +161,8 @@ def test_streams_have_equal_stamps_500_times_a_second_and_the_clock_goes_on(harn
     common = set(joints) & set(wrenches)
     assert len(common) > 900
     assert cell.wrenches[-1].header.frame_id == "ft_sensor"
-    assert tuple(cell.joints[-1].name) == JOINT_NAMES
-    assert np.allclose(cell.positions(), HOME, atol=1e-9)
+    assert tuple(cell.joints[-1].name) == GALEN.joint_names
+    assert np.allclose(cell.positions(), GALEN.home, atol=1e-9)
     # No tool, no tool marker; the base marker at 100 Hz.
     base = [stamp_to_ns(m.header.stamp) for m in list(cell.base_poses)]
     assert np.all(np.diff(base) == 10_000_000) and len(base) > 150
@@ -189,7 +189,7 @@ def test_effects_are_parameters_and_their_delays_are_in_the_stamps(harness):
     assert cell.driver._plant.wrench_delay_ns == 21_300_000
     assert cell.driver._plant.tracker_delay_ns == 10_700_000
     # The joints say nothing of it.
-    assert cell.positions() == pytest.approx(HOME, abs=1e-9)
+    assert cell.positions() == pytest.approx(GALEN.home, abs=1e-9)
     tool = TOOLS["pointer"].load
     expected = nominal_reading((0.0, 0.1), tool, ADAPTER, (0.0, 0.1))
     assert wrench_to_array(cell.wrenches[-1]) == pytest.approx(expected, abs=1e-9)
@@ -287,12 +287,12 @@ def test_a_trajectory_moves_the_arm_and_an_empty_one_stops_it(cell):
     cell.send(["tilt", "roll"], [-0.3, 0.6], 1.0)
     cell.wait(
         lambda: (
-            np.allclose(cell.positions(), HOME + [0, 0, 0, 0.6, -0.3], atol=1e-4)
+            np.allclose(cell.positions(), GALEN.home + [0, 0, 0, 0.6, -0.3], atol=1e-4)
             and not cell.velocities().any()
         ),
         "the target",
     )
-    cell.send(JOINT_NAMES, HOME, 8.0)
+    cell.send(GALEN.joint_names, GALEN.home, 8.0)
     cell.wait(lambda: cell.velocities()[3] < -0.05, "motion")
     cell.trajectory.publish(JointTrajectory())
     cell.wait(lambda: not cell.velocities().any(), "rest")
@@ -311,7 +311,7 @@ def test_a_bad_trajectory_is_rejected_and_told(cell):
     )
     assert cell.value("trajectories_rejected") == "1"
     assert cell.value("state") == "trajectory_rejected"
-    assert np.allclose(cell.positions(), HOME, atol=1e-9)
+    assert np.allclose(cell.positions(), GALEN.home, atol=1e-9)
     cell.send(["wrist"], [0.1], 1.0)
     cell.wait(
         lambda: any("unknown joint 'wrist'" in status.message for status in cell.diagnostics),
@@ -379,7 +379,7 @@ def test_admittance_does_not_move_without_a_compensated_wrench(cell):
     assert cell.call(cell.admittance, SetBool.Request(data=True)).success
     start = len(cell.joints)
     cell.wait(lambda: len(cell.joints) > start + 500, "a second")
-    assert np.allclose(cell.positions(), HOME, atol=1e-9)
+    assert np.allclose(cell.positions(), GALEN.home, atol=1e-9)
     # A wrench that is old, or in another frame, is none either.
     message = WrenchStamped()
     message.header.frame_id = "ft_sensor"
@@ -395,7 +395,7 @@ def test_admittance_does_not_move_without_a_compensated_wrench(cell):
     )
     start = len(cell.joints)
     cell.wait(lambda: len(cell.joints) > start + 200, "more samples")
-    assert np.allclose(cell.positions(), HOME, atol=1e-9)
+    assert np.allclose(cell.positions(), GALEN.home, atol=1e-9)
 
 
 def test_admittance_follows_the_compensated_wrench(harness):
@@ -410,7 +410,7 @@ def test_admittance_follows_the_compensated_wrench(harness):
     cell.wait(lambda: cell.positions()[0] > 0.01, "the tip to go with the push")
     cell.answer_wrenches_with(None)
     cell.wait(lambda: not cell.velocities().any(), "rest when the topic is silent")
-    moved = cell.positions() - HOME
+    moved = cell.positions() - GALEN.home
     assert np.abs(moved[1:]).max() < 0.1 * moved[0]
     cell.call(cell.admittance, SetBool.Request(data=False))
     cell.wait(lambda: cell.value("admittance") == "false", "the end on /diagnostics")

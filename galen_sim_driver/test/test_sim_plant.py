@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from galen_model.arm.galen import ENCODER_QUANTUM, GALEN, HOME, JOINT_NAMES, SENSOR
+from galen_model.arm.galen import ENCODER_QUANTUM, GALEN, SENSOR
 from galen_model.load.model import Load, nominal_reading
 from galen_model.load.nominal_tools import ADAPTER, TOOLS, ToolGeometry
 from galen_model.registration import move_wrench
@@ -23,7 +23,7 @@ def make_plant(seed=0, **changes):
 
 def go_to(plant, joints, duration_s=2.0, steps=1500):
     plant.command(
-        Trajectory(JOINT_NAMES, [TrajectoryPoint(duration_s, joints, [0.0] * 5, [0.0] * 5)])
+        Trajectory(GALEN.joint_names, [TrajectoryPoint(duration_s, joints, [0.0] * 5, [0.0] * 5)])
     )
     return [plant.step() for _ in range(steps)]
 
@@ -353,7 +353,7 @@ def test_without_or_with_a_stale_wrench_nothing_moves():
     plant = make_plant(**EXACT)
     plant.attach_tool("retractor")
     plant.set_admittance(True)
-    assert [plant.step() for _ in range(100)][-1].true_joints == HOME.tolist()
+    assert [plant.step() for _ in range(100)][-1].true_joints == GALEN.home.tolist()
     # One wrench: it counts for 50 ms, then the arm stops.
     at_tip = [5.0, 0.0, 0.0, 0.0, 0.0, 0.0]
     plant.admittance.feed(plant.now_ns, move_wrench(at_tip, np.eye(3), TOOLS["retractor"].tip_m))
@@ -362,7 +362,7 @@ def test_without_or_with_a_stale_wrench_nothing_moves():
     assert samples[-1].true_velocities == [0.0] * 5
     # The offset gained speed for 50 ms at half the joint's 1 m/s^2, towards 0.05 m/s, and lost it
     # as fast: 2 * a t^2 / 2. At home the sensor's x points down.
-    way = samples[-1].true_joints[2] - HOME[2]
+    way = samples[-1].true_joints[2] - GALEN.home[2]
     assert way == pytest.approx(-0.5 * 0.05**2, rel=0.05)
     # What isn't finite, or comes from the future, moves nothing.
     still = samples[-1].true_joints
@@ -402,7 +402,9 @@ def noisy_turn(seed, admittance):
     go_to(plant, [0.0, 0.0, 0.408, 0.8, -0.6], duration_s=2.0, steps=1100)
     plant.set_admittance(admittance)
     target = [0.0, 0.0, 0.408, 0.0, 0.6]
-    plant.command(Trajectory(JOINT_NAMES, [TrajectoryPoint(2.0, target, [0.0] * 5, [0.0] * 5)]))
+    plant.command(
+        Trajectory(GALEN.joint_names, [TrajectoryPoint(2.0, target, [0.0] * 5, [0.0] * 5)])
+    )
     way = []
     for _ in range(1000):
         sample = plant.step()

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from galen_model.arm.galen import GALEN, HOME, JOINT_NAMES
+from galen_model.arm.galen import GALEN
 from galen_sim_driver.plant.config import PlantError
 from galen_sim_driver.plant.motion import (
     Reference,
@@ -22,7 +22,11 @@ def check(names, *points, start_ns=0):
 
 def test_good_trajectories_pass():
     check(["tilt", "roll"], POINT)
-    check(list(JOINT_NAMES), TrajectoryPoint(0.0, HOME), TrajectoryPoint(0.1, HOME, [0.0] * 5))
+    check(
+        list(GALEN.joint_names),
+        TrajectoryPoint(0.0, GALEN.home),
+        TrajectoryPoint(0.1, GALEN.home, [0.0] * 5),
+    )
     check(["roll", "tilt"], POINT, start_ns=NOW_NS - 900_000_000)
     check(["roll", "tilt"], TrajectoryPoint(1.0, [1.57, -1.04], [0, 0], [0, 0]))
 
@@ -60,12 +64,14 @@ def test_a_trajectory_of_the_past_is_rejected():
         check(["roll", "tilt"], POINT, start_ns=NOW_NS - 2_000_000_000)
 
 
-START = TrajectoryPoint(0.0, HOME + [0, 0, 0, 0.2, -0.1], [0, 0, 0, 0.3, -0.2], [0, 0, 0, 0.5, 1.0])
+START = TrajectoryPoint(
+    0.0, GALEN.home + [0, 0, 0, 0.2, -0.1], [0, 0, 0, 0.3, -0.2], [0, 0, 0, 0.5, 1.0]
+)
 
 
 def sampled(names, points, start_ns=0):
     """Reference from START now: (times (n,), positions (n, 5)) on a fine grid to past its end."""
-    reference = Reference(Trajectory(names, points, start_ns), GALEN, NOW_NS, START, HOME)
+    reference = Reference(Trajectory(names, points, start_ns), GALEN, NOW_NS, START, GALEN.home)
     time_ns = np.arange(NOW_NS, reference.end_ns + 200_000_000, 1_000_000)
     return (time_ns - NOW_NS) * 1e-9, np.array([reference.sample(int(ns)) for ns in time_ns])
 
@@ -79,7 +85,7 @@ def test_positions_only_are_joined_by_lines():
     expected_roll = np.interp(time_s, [0.0, 0.5, 1.0], [0.2, 0.4, 1.0])
     assert np.allclose(q[:, 4], expected_tilt, atol=1e-12)
     assert np.allclose(q[:, 3], expected_roll, atol=1e-12)
-    assert np.all(q[:, :3] == HOME[:3])
+    assert np.all(q[:, :3] == GALEN.home[:3])
 
 
 def derivatives(time_s, values):
@@ -114,9 +120,13 @@ def test_accelerations_make_it_quintic():
 
 def test_rest_to_rest_peaks_are_what_behaviours_rely_on():
     """1.875 d / T and 5.774 d / T^2: the quintic from rest to rest."""
-    rest = TrajectoryPoint(0.0, HOME, [0.0] * 5, [0.0] * 5)
+    rest = TrajectoryPoint(0.0, GALEN.home, [0.0] * 5, [0.0] * 5)
     reference = Reference(
-        Trajectory(["roll"], [TrajectoryPoint(2.0, [1.0], [0.0], [0.0])]), GALEN, 0, rest, HOME
+        Trajectory(["roll"], [TrajectoryPoint(2.0, [1.0], [0.0], [0.0])]),
+        GALEN,
+        0,
+        rest,
+        GALEN.home,
     )
     time_s = np.linspace(0.0, 2.0, 4001)
     roll = np.array([reference.sample(round(t * 1e9))[3] for t in time_s])
@@ -147,6 +157,6 @@ def test_rates_that_would_overflow_are_rejected(kind):
     for time_s in (1e-9, 1.0, 2.0**31):
         points = [TrajectoryPoint(time_s, [0.2], **rates)]
         check(["roll"], *points)
-        reference = Reference(Trajectory(["roll"], points), GALEN, NOW_NS, START, HOME)
+        reference = Reference(Trajectory(["roll"], points), GALEN, NOW_NS, START, GALEN.home)
         for part in (0.0, 0.3, 0.9):
             assert np.all(np.isfinite(reference.sample(NOW_NS + round(part * time_s * 1e9))))

@@ -345,22 +345,6 @@ class Arm:
         wrench = move_wrench(applied_wrench, rotation, origin - tip)
         return self.tip_compliance(joints, tip_m) @ wrench
 
-    # Names of before, until every package has switched
-    platform_to_roll_m = property(lambda self: self.joints[3].origin_m)
-    roll_to_tilt_m = property(lambda self: self.joints[4].origin_m)
-    tilt_to_sensor_m = property(lambda self: self.sensor_origin_m)
-    carriage_stiffness_n_m = property(lambda self: self.delta.carriage_stiffness)
-    rod_stiffness_n_m = property(lambda self: self.delta.rod_stiffness)
-    roll_stiffness_nm_rad = property(lambda self: self.joints[3].stiffness)
-    tilt_stiffness_nm_rad = property(lambda self: self.joints[4].stiffness)
-    rod_length_m = property(lambda self: self.delta.rod_length_m)
-    rail_radius_m = property(lambda self: self.delta.rail_radius_m)
-    platform_radius_m = property(lambda self: self.delta.platform_radius_m)
-    rod_half_spacing_m = property(lambda self: self.delta.rod_half_spacing_m)
-    leg_angles_rad = property(lambda self: self.delta.leg_angles_rad)
-    carriage_travel_m = property(lambda self: self.delta.carriage_travel_m)
-    delta_radius_m = property(lambda self: self.delta.radius_m)
-
     @cached_property
     def turns(self) -> tuple[Turn, ...]:
         """The turn back at each revolute joint, the fixed rotations before it included."""

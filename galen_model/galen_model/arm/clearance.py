@@ -22,7 +22,8 @@ from dataclasses import dataclass
 import coal
 import numpy as np
 
-from galen_model.arm.galen import GALEN, ArmParameters
+from galen_model.arm.arm import Arm
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.rotation import rot_x, rot_y
@@ -111,7 +112,7 @@ class ArmClearance:
         boxes: Sequence[Box],
         clearance_m: float,
         tip_m: Array,
-        arm: ArmParameters = GALEN,
+        arm: Arm = GALEN,
     ) -> None:
         """`clearance_m`: nothing may come nearer; tip_m (3,): the tool's tip in ft_sensor.
 
@@ -193,14 +194,14 @@ class ArmClearance:
         return nearest.distance_m, f"the {nearest.part} would be {where} {nearest.box}"
 
 
-def _parts(tip: Array, arm: ArmParameters) -> list[_Part]:
+def _parts(tip: Array, arm: Arm) -> list[_Part]:
     here = np.zeros(3)
     out = np.array([0.0, 0.0, tip[2]])
     adapter = np.array([0.0, 0.0, ADAPTER_LENGTH_M])
     return [
-        _Part("platform", 0, here, arm.platform_to_roll_m, PLATFORM_RADIUS_M),
-        _Part("roll link", 1, here, arm.roll_to_tilt_m, LINK_RADIUS_M),
-        _Part("tilt link", 2, here, arm.tilt_to_sensor_m, LINK_RADIUS_M),
+        _Part("platform", 0, here, arm.joints[3].origin_m, PLATFORM_RADIUS_M),
+        _Part("roll link", 1, here, arm.joints[4].origin_m, LINK_RADIUS_M),
+        _Part("tilt link", 2, here, arm.sensor_origin_m, LINK_RADIUS_M),
         _Part("sensor", 3, here, adapter, LINK_RADIUS_M),
         _Part("tool", 3, here, out, TOOL_RADIUS_M),
         _Part("tool", 3, out, tip, TOOL_RADIUS_M),
@@ -225,27 +226,27 @@ def _placement(part: _Part) -> tuple[Array, Array]:
     return turn, (part.start_m + part.end_m) / 2.0
 
 
-def _frames(joints: Array, arm: ArmParameters) -> list[tuple[Array, Array]]:
+def _frames(joints: Array, arm: Arm) -> list[tuple[Array, Array]]:
     """R_base_frame and origin in base_link of platform, roll link, tilt link and sensor."""
     q = np.asarray(joints, dtype=float)
-    roll_origin = q[:3] + arm.platform_to_roll_m
+    roll_origin = q[:3] + arm.joints[3].origin_m
     roll = rot_x(q[3])
     return [
         (np.eye(3), q[:3]),
         (roll, roll_origin),
-        (roll @ rot_y(q[4]), roll_origin + roll @ arm.roll_to_tilt_m),
+        (roll @ rot_y(q[4]), roll_origin + roll @ arm.joints[4].origin_m),
         arm.sensor_pose(q),
     ]
 
 
-def _reach(parts: Sequence[_Part], arm: ArmParameters) -> Array:
+def _reach(parts: Sequence[_Part], arm: Arm) -> Array:
     """How far (2,), m, any moving point is from the axes of roll and tilt, at most.
 
     From the tilt axis's origin no point is further than `about_tilt`; roll's axis passes that
     origin at the distance of the roll link's offset across it.
     """
     ends = [
-        (np.zeros(3) if part.frame == 2 else arm.tilt_to_sensor_m, part)
+        (np.zeros(3) if part.frame == 2 else arm.sensor_origin_m, part)
         for part in parts
         if part.frame >= 2
     ]
@@ -253,4 +254,4 @@ def _reach(parts: Sequence[_Part], arm: ArmParameters) -> Array:
         float(np.linalg.norm(origin) + max(map(np.linalg.norm, (part.start_m, part.end_m))))
         for origin, part in ends
     )
-    return np.array([about_tilt + float(np.linalg.norm(arm.roll_to_tilt_m[1:])), about_tilt])
+    return np.array([about_tilt + float(np.linalg.norm(arm.joints[4].origin_m[1:])), about_tilt])

@@ -13,14 +13,6 @@ from galen_model.arm.arm import constant as _vector
 from galen_model.arm.delta import LinearDelta
 from galen_model.arrays import Array
 
-JOINT_NAMES = ("delta_x", "delta_y", "delta_z", "roll", "tilt")
-"""The joint vector's order: the platform's position in base_link (m), then two angles (rad)."""
-
-JOINT_UNITS = ("m", "m", "m", "rad", "rad")
-
-HOME = np.array([0.0, 0.0, 0.408, 0.0, 0.0])
-HOME.setflags(write=False)
-
 GRAVITY_M_S2 = np.array([0.0, 0.0, -9.80665])
 GRAVITY_M_S2.setflags(write=False)
 """Gravity in base_link."""
@@ -91,19 +83,6 @@ GALEN = Arm(
     ),
 )
 """The nominal arm: a linear delta carries a roll joint, then a tilt joint, then the sensor."""
-
-ArmParameters = Arm
-
-
-@dataclass(frozen=True)
-class JointLimits:
-    """Lowest and highest value of each joint, shape (5,), m and rad."""
-
-    lower: Array = field(default_factory=lambda: GALEN.lower)
-    upper: Array = field(default_factory=lambda: GALEN.upper)
-
-
-LIMITS = JointLimits()
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import numpy as np
 import pinocchio
 from numpy.typing import ArrayLike
 
-from galen_model.arm.galen import JOINT_NAMES, SENSOR_FRAME, TIP_FRAME
+from galen_model.arm.galen import GALEN, SENSOR_FRAME, TIP_FRAME
 from galen_model.arm.urdf import galen_urdf
 from galen_model.arrays import Array
 
@@ -19,7 +19,7 @@ class PinocchioArm:
         """Build the model from the URDF."""
         self.model = pinocchio.buildModelFromXML(galen_urdf(tip_m))
         self._data = self.model.createData()
-        assert tuple(self.model.names[1:]) == JOINT_NAMES
+        assert tuple(self.model.names[1:]) == GALEN.joint_names
 
     def pose(self, joints: ArrayLike, frame: str = SENSOR_FRAME) -> tuple[Array, Array]:
         """R_base_frame (3, 3) and the frame's origin in base_link (3,), m, at joints (5,)."""

@@ -11,7 +11,7 @@ Robotics*, 3rd ed. 2005, section 6.2). In the axes of ft_sensor
     w = (-r' sin t, t', r' cos t),   al = dw/dt,
 
 because a vector's own rate and its rate in the frame that turns with it agree for w itself.
-Finite differences of `galen_model.arm.kinematics` and of Pinocchio give the same; a test compares.
+Finite differences of `Arm.sensor_pose` and of Pinocchio give the same; a test compares.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from galen_model.arm.galen import GALEN, ArmParameters
+from galen_model.arm.arm import Arm
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.load.inertia import Vector
 
@@ -39,9 +40,9 @@ def sensor_motion(
     joints: ArrayLike,
     velocities: ArrayLike,
     accelerations: ArrayLike,
-    arm: ArmParameters = GALEN,
+    arm: Arm = GALEN,
 ) -> SensorMotion:
-    """Motion of ft_sensor; all (..., 5) in the order of `JOINT_NAMES`, m, rad and their rates."""
+    """Motion of ft_sensor; all (..., 5) in the order of `Arm.joints`, m, rad and their rates."""
     q, v, a = np.broadcast_arrays(
         *(np.asarray(part, dtype=float) for part in (joints, velocities, accelerations))
     )
@@ -56,7 +57,7 @@ def sensor_motion(
 class MotionOfSensor:
     """`sensor_motion` for one moment at a time, in plain floats."""
 
-    def __init__(self, arm: ArmParameters = GALEN) -> None:
+    def __init__(self, arm: Arm = GALEN) -> None:
         self._lengths = _lengths(arm)
 
     def at(
@@ -77,8 +78,8 @@ class MotionOfSensor:
         return found
 
 
-def _lengths(arm: ArmParameters) -> tuple[float, ...]:
-    c1, c2 = arm.roll_to_tilt_m, arm.tilt_to_sensor_m
+def _lengths(arm: Arm) -> tuple[float, ...]:
+    c1, c2 = arm.joints[4].origin_m, arm.sensor_origin_m
     return (*(float(v) for v in c1), *(float(v) for v in c2))
 
 

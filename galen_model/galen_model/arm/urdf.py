@@ -9,59 +9,35 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import ArrayLike
 
-from galen_model.arm.galen import (
-    BASE_FRAME,
-    GALEN,
-    JOINT_NAMES,
-    LIMITS,
-    SENSOR_FRAME,
-    TIP_FRAME,
-    ArmParameters,
-    JointLimits,
-)
+from galen_model.arm.arm import Arm, Joint
+from galen_model.arm.galen import GALEN, TIP_FRAME
 
 
 def galen_urdf(
     tip_m: ArrayLike = (0.0, 0.0, 0.0),
-    arm: ArmParameters = GALEN,
-    limits: JointLimits = LIMITS,
+    arm: Arm = GALEN,
     max_velocity: ArrayLike = (0.2, 0.2, 0.2, 1.5, 1.5),
 ) -> str:
     """Return the arm as URDF text; tip_m (3,) in ft_sensor, max_velocity (5,) in m/s and rad/s."""
-    robot = ElementTree.Element("robot", name="galen")
-    speed = np.asarray(max_velocity, dtype=float)
-    reach = float(arm.roll_to_tilt_m[0])
-    _link(robot, BASE_FRAME, _cylinder(arm.rail_radius_m, 0.02, "0 0 0", "0 0 0"))
-    _link(robot, "delta_x_link")
-    _link(robot, "delta_y_link")
-    _link(robot, "delta_platform", _cylinder(arm.platform_radius_m, 0.02, "0 0 0", "0 0 0"))
-    _link(
-        robot,
-        "roll_link",
-        _cylinder(0.02, reach, f"{reach / 2} 0 0", f"0 {np.pi / 2} 0"),
-    )
-    _link(robot, "tilt_link", _cylinder(0.02, 0.04, "0 0 0", f"{np.pi / 2} 0 0"))
-    _link(robot, SENSOR_FRAME, _cylinder(0.0125, 0.02, "0 0 0", "0 0 0"))
-    tip = np.asarray(tip_m, dtype=float)
-    _link(robot, TIP_FRAME, _sphere(0.004))
-
-    chain = (BASE_FRAME, "delta_x_link", "delta_y_link", "delta_platform")
-    axes = ("1 0 0", "0 1 0", "0 0 1")
-    for index in range(3):
-        _joint(
-            robot, index, "prismatic", chain[index], chain[index + 1], "0 0 0", axes[index],
-            limits, speed,
-        )  # fmt: skip
-    _joint(
-        robot, 3, "revolute", "delta_platform", "roll_link", _text(arm.platform_to_roll_m), "1 0 0",
-        limits, speed,
-    )  # fmt: skip
-    _joint(
-        robot, 4, "revolute", "roll_link", "tilt_link", _text(arm.roll_to_tilt_m), "0 1 0",
-        limits, speed,
-    )  # fmt: skip
-    _fixed(robot, "tilt_link", SENSOR_FRAME, _text(arm.tilt_to_sensor_m), f"0 {np.pi / 2} 0")
-    _fixed(robot, SENSOR_FRAME, TIP_FRAME, _text(tip), "0 0 0")
+    assert arm.delta is not None
+    robot = ElementTree.Element("robot", name=arm.name)
+    reach = float(arm.joints[4].origin_m[0])
+    shapes = {
+        arm.base_frame: _cylinder(arm.delta.rail_radius_m, 0.02, "0 0 0", "0 0 0"),
+        "delta_platform": _cylinder(arm.delta.platform_radius_m, 0.02, "0 0 0", "0 0 0"),
+        "roll_link": _cylinder(0.02, reach, f"{reach / 2} 0 0", f"0 {np.pi / 2} 0"),
+        "tilt_link": _cylinder(0.02, 0.04, "0 0 0", f"{np.pi / 2} 0 0"),
+        arm.sensor_frame: _cylinder(0.0125, 0.02, "0 0 0", "0 0 0"),
+        TIP_FRAME: _sphere(0.004),
+    }
+    links = [arm.base_frame, *(joint.link for joint in arm.joints)]
+    for name in (*links, arm.sensor_frame, TIP_FRAME):
+        _link(robot, name, shapes.get(name))
+    speeds = np.asarray(max_velocity, dtype=float)
+    for parent, joint, speed in zip(links[:-1], arm.joints, speeds, strict=True):
+        _joint(robot, parent, joint, float(speed))
+    _fixed(robot, links[-1], arm.sensor_frame, _text(arm.sensor_origin_m), f"0 {np.pi / 2} 0")
+    _fixed(robot, arm.sensor_frame, TIP_FRAME, _text(tip_m), "0 0 0")
     ElementTree.indent(robot)
     return ElementTree.tostring(robot, encoding="unicode")
 
@@ -94,29 +70,21 @@ def _link(
     ElementTree.SubElement(ElementTree.SubElement(visual, "geometry"), kind, size)
 
 
-def _joint(
-    robot: ElementTree.Element,
-    index: int,
-    kind: str,
-    parent: str,
-    child: str,
-    xyz: str,
-    axis: str,
-    limits: JointLimits,
-    speed: np.ndarray,
-) -> None:
-    joint = ElementTree.SubElement(robot, "joint", name=JOINT_NAMES[index], type=kind)
-    ElementTree.SubElement(joint, "parent", link=parent)
-    ElementTree.SubElement(joint, "child", link=child)
-    ElementTree.SubElement(joint, "origin", xyz=xyz, rpy="0 0 0")
-    ElementTree.SubElement(joint, "axis", xyz=axis)
+def _joint(robot: ElementTree.Element, parent: str, joint: Joint, speed: float) -> None:
+    element = ElementTree.SubElement(robot, "joint", name=joint.name, type=joint.kind)
+    ElementTree.SubElement(element, "parent", link=parent)
+    ElementTree.SubElement(element, "child", link=joint.link)
+    xyz = _text(joint.origin_m) if joint.origin_m.any() else "0 0 0"
+    ElementTree.SubElement(element, "origin", xyz=xyz, rpy="0 0 0")
+    axis = " ".join(f"{value:g}" for value in joint.axis)
+    ElementTree.SubElement(element, "axis", xyz=axis)
     ElementTree.SubElement(
-        joint,
+        element,
         "limit",
-        lower=repr(float(limits.lower[index])),
-        upper=repr(float(limits.upper[index])),
+        lower=repr(joint.lower),
+        upper=repr(joint.upper),
         effort="0",
-        velocity=repr(float(speed[index])),
+        velocity=repr(speed),
     )
 
 

@@ -74,7 +74,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN, HOME
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.load.nominal_tools import TOOLS
 from galen_model.registration import move_twist
@@ -421,7 +421,7 @@ def _bouc_wen(knee: float, peak: Array) -> Callable[[Array, Array], Array]:
 
 @cache
 def _typical_tip() -> Array:
-    compliance = GALEN.tip_compliance(HOME, TOOLS["retractor"].tip_m)
+    compliance = GALEN.tip_compliance(GALEN.home, TOOLS["retractor"].tip_m)
     return _TYPICAL_FORCE_N * np.abs(compliance[:, :3]).max(axis=1)
 
 

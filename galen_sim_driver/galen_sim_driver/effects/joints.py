@@ -49,7 +49,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN, JOINT_NAMES
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.rotation import rot_x, rot_y, rot_z
 from galen_ros.parameters import param
@@ -86,7 +86,7 @@ class JointZeroOffset(_RotaryEffect):
 
     def true_joints(self, when: Instants, joints: Array) -> Array:
         true = joints.copy()
-        true[:, JOINT_NAMES.index(self.joint)] += self.offset_rad
+        true[:, GALEN.joint_names.index(self.joint)] += self.offset_rad
         return true
 
 
@@ -101,7 +101,7 @@ class JointGain(_RotaryEffect):
 
     def true_joints(self, when: Instants, joints: Array) -> Array:
         true = joints.copy()
-        true[:, JOINT_NAMES.index(self.joint)] *= 1.0 + self.gain
+        true[:, GALEN.joint_names.index(self.joint)] *= 1.0 + self.gain
         return true
 
 
@@ -192,8 +192,8 @@ class JointCompliance(Effect):
         return arm.with_stiffness({spring: k for spring, k in given.items() if k > 0.0})
 
 
-_TILT = JOINT_NAMES.index("tilt")
-_ROLL = JOINT_NAMES.index("roll")
+_TILT = GALEN.joint_names.index("tilt")
+_ROLL = GALEN.joint_names.index("roll")
 _SEAT = (0.5, 0.5, 0.5, 0.05, 0.05)
 _STILL = (5e-5, 5e-5, 5e-5, 5e-4, 5e-4)
 """Joints that move by less, m or rad, stand: some ten quanta of the encoders."""
@@ -236,7 +236,7 @@ class Backlash(Effect):
         return self.gap_rad == 0.0
 
     def validate(self) -> None:
-        check_choice(self.name, "joint", self.joint, JOINT_NAMES)
+        check_choice(self.name, "joint", self.joint, GALEN.joint_names)
 
     def fresh(self) -> Self:
         new = replace(self)
@@ -246,7 +246,7 @@ class Backlash(Effect):
 
     @property
     def _index(self) -> int:
-        return JOINT_NAMES.index(self.joint)
+        return GALEN.joint_names.index(self.joint)
 
     def true_joints(self, when: Instants, joints: Array) -> Array:
         if not len(joints) or self.gap_rad == 0.0:

@@ -44,7 +44,7 @@ from functools import lru_cache
 from typing import ClassVar, Self
 
 import numpy as np
-from galen_model.arm.galen import GALEN, HOME
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.load.inertia import LoadInMotion, inertial_wrench, point_mass_inertia
 from galen_model.load.model import Load
@@ -247,7 +247,7 @@ class CableDrag(Effect):
 
 @lru_cache(maxsize=256)
 def _direction_at_home(anchor_m: tuple[float, ...], attachment_m: tuple[float, ...]) -> Array:
-    rotation, origin = GALEN.sensor_pose(HOME)
+    rotation, origin = GALEN.sensor_pose(GALEN.home)
     return cable_line(rotation, origin, anchor_m, attachment_m)[1]
 
 
