@@ -21,7 +21,7 @@ RCLPY_VERSION = "7.1.6"  # Jazzy's; a later one is another distribution
 GROUPS = ("runtime", "dev", "build", "ros")
 # What each must be able to import, and the room that it takes with its download.
 OPTIONAL_GROUPS = {
-    "networks": ("import safetensors.torch, torch", 9_000_000_000),
+    "networks": ("import torch", 9_000_000_000),
 }
 STAMP_NAME = "galen_env.json"
 # Always ours, also where ROS's Debian packages bring another version: what tests and checks.
