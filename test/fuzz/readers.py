@@ -57,7 +57,7 @@ from galen_bags.formats.raw_block import pack  # noqa: E402
 from galen_deflection.models.file import read_model, write_model  # noqa: E402
 from galen_diagnosis.blind.blind_protocol import Places, answered  # noqa: E402
 from galen_gravcomp.evaluate.drift_series import read_series  # noqa: E402
-from galen_model.arm.galen import JOINT_NAMES  # noqa: E402
+from galen_model.arm.galen import GALEN  # noqa: E402
 from galen_model.errors import GalenError  # noqa: E402
 from galen_model.files.calibration_file import (  # noqa: E402
     CalibrationFile,
@@ -406,7 +406,7 @@ def use_messages(path: Path) -> None:
     for name, read in (
         ("wrench", WrenchWire().read),
         ("imu", ImuWire().read),
-        ("joints", JointWire(JOINT_NAMES[3:]).read),
+        ("joints", JointWire(GALEN.joint_names[3:]).read),
     ):
         try:
             live[name] = read(data)
@@ -423,7 +423,7 @@ def use_messages(path: Path) -> None:
     block = pack([0], [0], [data])
     decoders = {
         "wrench": Decoder(WRENCH),
-        "joints": Decoder(JOINT_STATE, JOINT_NAMES[3:], required=JOINT_NAMES[3:]),
+        "joints": Decoder(JOINT_STATE, GALEN.joint_names[3:], required=GALEN.joint_names[3:]),
     }
     for name, decoder in decoders.items():
         samples = decoder.decode(block, np.zeros(1, dtype=int))
@@ -440,7 +440,7 @@ def use_messages(path: Path) -> None:
 
 def _message_seeds() -> list[bytes]:
     head = header(_SAMPLES[0].log_time_ns, "ft_sensor")
-    joints = joint_state(head, JOINT_NAMES, JOINTS, JOINTS)
+    joints = joint_state(head, GALEN.joint_names, JOINTS, JOINTS)
     messages = [cdr(wrench(head, range(6))), cdr(joints), cdr(joints, little_endian=False)]
     return [*messages, messages[0] + bytes(37 * 8)]  # as long as an Imu
 
