@@ -38,14 +38,12 @@ class Columns:
     values (n, C, k): what the reading gains by a weight of one; weights are about one. parameters:
     by the contract's name, from weights (k,) to the number or numbers. words: parameters that are
     no number (`axis`), or were set beforehand (`time_s`). allowed: whether weights are this effect.
-    beyond: names among `parameters` that the contract hasn't.
     """
 
     values: Array
     parameters: Mapping[str, Callable[[Array], Array]]
     words: Mapping[str, Any] = field(default_factory=dict)
     allowed: Callable[[Array], bool] = lambda weights: True
-    beyond: tuple[str, ...] = ()
 
     @property
     def size(self) -> int:

@@ -235,12 +235,6 @@ class PoseRecorder:
         """First and last stamp of the average; None while the arm has not settled."""
         return self._window
 
-    def close(self, end_ns: int) -> None:
-        """End the average at this stamp, for the arm goes on then; nothing if it has not begun."""
-        if self._window is not None and self.result is None:
-            self._window = (self._window[0], min(self._window[1], end_ns))
-            self.result = self._judge()
-
     @property
     def jumps(self) -> int:
         """Jumps of stamps seen in this visit, in both streams."""
