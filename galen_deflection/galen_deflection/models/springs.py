@@ -99,6 +99,9 @@ class Springs:
         if arm.delta is not None:
             self._delta = arm.delta
             self._balls = skew(arm.delta.ball_joints_m)
+            first, second = arm.delta.ball_joints_m[0::2], arm.delta.ball_joints_m[1::2]
+            self._apart = [_vector(row) for row in first - second]
+            self._middle = [_vector(row) for row in 0.5 * (first + second)]
         # t_tip = R (t - tip x f)
         self._lever_to_tip = -skew(self._tip_m)
         self._single = lru_cache(maxsize=_KEPT_POSES)(self._calculate_single)
@@ -126,7 +129,7 @@ class Springs:
         """As `_calculate`, of one joint vector's bytes: the arm's chain in plain floats."""
         joints = np.frombuffer(packed)
         turned: Columns = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-        at: Vector = (0.0, 0.0, 0.0)
+        at = _ZERO
         origins, axes = [], []
         for value, (revolute, axis, origin, fixed) in zip(
             joints.tolist(), self._chain, strict=True
@@ -134,7 +137,7 @@ class Springs:
             at = _moved(at, turned, origin)
             if fixed is not None:
                 turned = _product(turned, fixed)
-            axes.append(_moved((0.0, 0.0, 0.0), turned, axis))
+            axes.append(_moved(_ZERO, turned, axis))
             if revolute:
                 turned = _product(turned, _about(axis, value))
             else:
@@ -144,23 +147,66 @@ class Springs:
         sensor, mount, tip = self._end
         at = _moved(at, turned, sensor)
         turned = _product(turned, mount)
-        return self._made(
-            joints[None],
-            np.array(turned).T[None],
-            np.array([_moved(at, turned, tip)]),
-            np.array([origins]),
-            np.array([axes]),
+        at = _moved(at, turned, tip)
+        columns: list[tuple[float, ...]] = []
+        for k in self._elastic:
+            revolute = self._chain[k][0]
+            linear = _cross(axes[k], _less(at, origins[k])) if revolute else axes[k]
+            columns.append((*linear, *(axes[k] if revolute else _ZERO)))
+        lever = _ZERO
+        if self._arm.delta is not None:
+            px, py, pz = joints[:3].tolist()
+            lever = _less(at, (px, py, pz))
+            columns += self._platform_columns(px, py, pz, lever)
+        rotation = np.array([turned]).swapaxes(1, 2)
+        return Geometry(
+            self._to_tip(rotation),
+            np.array([columns]).swapaxes(1, 2),
+            np.array([lever]),
+            (rotation, np.array([at])),
         )
+
+    def _platform_columns(
+        self, px: float, py: float, pz: float, lever: Vector
+    ) -> list[tuple[float, ...]]:
+        """As `_platform_springs`, of one position in plain floats.
+
+        A needs no general inverse. The rods a and b of leg i are parallel, along n_i, and end at
+        B_a and B_b. Of their lengthening e_a, e_b, the platform's twist (v, w) is
+
+            (dB_i x n_i) . w = e_a - e_b,                dB_i = B_a - B_b
+            n_i . v + (mB_i x n_i) . w = (e_a + e_b)/2,  mB_i = (B_a + B_b)/2,
+
+        two systems of three. With N, M, Q (3, 3) of rows n_i, dB_i x n_i, mB_i x n_i, and S = N^-1,
+        T = M^-1, P = S Q T, a unit of lengthening of rod a or b (upper sign: a) moves the centre by
+        w = +- T_i, v = S_i / 2 -+ P_i (columns i).
+        """
+        delta, length = self._delta, self._delta.rod_length_m
+        n: list[Vector] = []
+        for foot_x, foot_y in delta.feet_m.tolist():
+            x, y = px - foot_x, py - foot_y
+            squared = length * length - x * x - y * y
+            if squared <= 0.0:
+                delta.rod_directions((px, py, pz))  # raises, naming the rod
+            n.append((x / length, y / length, math.sqrt(squared) / length))
+        s = _inverse(*n)
+        t = _inverse(*(_cross(apart, each) for apart, each in zip(self._apart, n, strict=True)))
+        q = [_cross(middle, each) for middle, each in zip(self._middle, n, strict=True)]
+        carriages: list[tuple[float, ...]] = []
+        rods: list[tuple[float, ...]] = []
+        for i in range(3):
+            up, half, turn = n[i][2], s[i], t[i]
+            carriages.append((up * half[0], up * half[1], up * half[2], 0.0, 0.0, 0.0))
+            shift = _moved(_ZERO, s, (_dot(q[0], turn), _dot(q[1], turn), _dot(q[2], turn)))
+            x, y, z = _less(shift, _cross(turn, lever))  # of the tip: v + w x lever
+            hx, hy, hz = 0.5 * half[0], 0.5 * half[1], 0.5 * half[2]
+            rods.append((hx - x, hy - y, hz - z, *turn))
+            rods.append((hx + x, hy + y, hz + z, -turn[0], -turn[1], -turn[2]))
+        return carriages + rods
 
     def _calculate(self, joints: Array) -> Geometry:
-        return self._made(
-            joints, *self._arm.tip_pose(joints, self._tip_m), *self._arm.joint_axes(joints)
-        )
-
-    def _made(
-        self, joints: Array, rotation: Array, position: Array, origins: Array, axes: Array
-    ) -> Geometry:
-        """Of the tip's pose, and the joints' origins and axes (n, j, 3)."""
+        rotation, position = self._arm.tip_pose(joints, self._tip_m)
+        origins, axes = self._arm.joint_axes(joints)
         # A revolute joint moves the tip by (axis x lever, axis), a prismatic one by (axis, 0).
         axes, levers = axes[:, self._elastic], position[:, None] - origins[:, self._elastic]
         across = np.matmul(skew(axes), levers[..., None])[..., 0]
@@ -207,6 +253,34 @@ def tip_wrench(samples: DeflectionSamples) -> Array:
     return Springs(samples.tip_m, samples.arm).at_tip(samples.joints, samples.wrench)
 
 
+_ZERO: Vector = (0.0, 0.0, 0.0)
+
+
+def _less(a: Vector, b: Vector) -> Vector:
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+def _dot(a: Vector, b: Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _cross(a: Vector, b: Vector) -> Vector:
+    ax, ay, az = a
+    bx, by, bz = b
+    return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+
+
+def _inverse(a: Vector, b: Vector, c: Vector) -> Columns:
+    """Columns of the inverse of the matrix with rows a, b, c: b x c, c x a, a x b over its det."""
+    first, second, third = _cross(b, c), _cross(c, a), _cross(a, b)
+    scale = 1.0 / _dot(a, first)
+    return (
+        (first[0] * scale, first[1] * scale, first[2] * scale),
+        (second[0] * scale, second[1] * scale, second[2] * scale),
+        (third[0] * scale, third[1] * scale, third[2] * scale),
+    )
+
+
 def _vector(values: Array) -> Vector:
     x, y, z = (float(value) for value in values)
     return x, y, z
@@ -230,8 +304,7 @@ def _moved(at: Vector, columns: Columns, by: Vector) -> Vector:
 
 def _product(columns: Columns, other: Columns) -> Columns:
     x, y, z = other
-    zero = (0.0, 0.0, 0.0)
-    return _moved(zero, columns, x), _moved(zero, columns, y), _moved(zero, columns, z)
+    return _moved(_ZERO, columns, x), _moved(_ZERO, columns, y), _moved(_ZERO, columns, z)
 
 
 def _about(axis: Vector, angle: float) -> Columns:
