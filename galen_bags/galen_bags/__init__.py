@@ -5,7 +5,3 @@ from galen_model.errors import GalenError
 
 class BagError(GalenError):
     """A bag that can't be read or written; the message names it and gives the reason."""
-
-
-class ClusterError(GalenError):
-    """Processes or a scheduler for many bags that can't be used; the message gives the reason."""

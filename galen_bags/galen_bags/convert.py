@@ -24,6 +24,7 @@ from pathlib import Path
 import numpy as np
 from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
+from galen_model.errors import GalenError
 from galen_ros.cdr import NS_PER_S, joint_state_bytes, wrench_bytes
 from galen_ros.command import (
     EXIT_OK,
@@ -35,7 +36,7 @@ from galen_ros.command import (
 )
 
 from galen_bags.arrays.arm_recording import JOINT_STATE_TYPE, WRENCH_TYPE
-from galen_bags.arrays.tables import TableError, read_orientations, read_table, read_wrenches
+from galen_bags.arrays.tables import read_orientations, read_table, read_wrenches
 from galen_bags.formats.writer import BagWriter
 
 _UNITS_NS = {"s": NS_PER_S, "ms": 1_000_000, "us": 1_000, "ns": 1}
@@ -106,7 +107,7 @@ class Measured:
 
 
 def read_measured(arguments: argparse.Namespace) -> Measured:
-    """Read the tables that the command's options name; raises TableError."""
+    """Read the tables that the command's options name; raises GalenError."""
     unit, file = arguments.time_unit, arguments.table or arguments.wrench
     if not arguments.table:
         wrench_time, wrench = read_wrenches(arguments.wrench)
@@ -116,9 +117,9 @@ def read_measured(arguments: argparse.Namespace) -> Measured:
     table = read_table(file, columns, arguments.wrench_frame)
     time = table.time
     if time is None and arguments.rate_hz is None:
-        raise TableError(f"{file}: no column 't'; give the readings' --rate-hz")
+        raise GalenError(f"{file}: no column 't'; give the readings' --rate-hz")
     if time is not None and arguments.rate_hz is not None:
-        raise TableError(f"{file}: has a column 't'; --rate-hz is for tables without")
+        raise GalenError(f"{file}: has a column 't'; --rate-hz is for tables without")
     if time is None:
         time, unit = np.arange(len(table)) / arguments.rate_hz, "s"
     return _stamped(file, [time, time], unit, table.wrench, table.gravity)
@@ -130,7 +131,7 @@ def _stamped(
     try:
         wrench_ns, gravity_ns = stamps_ns(times, unit)
     except ValueError as error:
-        raise TableError(f"{file}: {error}") from error
+        raise GalenError(f"{file}: {error}") from error
     return Measured(wrench_ns, wrench, gravity_ns, gravity)
 
 

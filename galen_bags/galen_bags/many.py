@@ -71,7 +71,7 @@ def run_many(
         timeout_s: how long to wait for the scheduler's answer.
 
     Raises:
-        ClusterError: the scheduler can't be used, or no processes can be started.
+        GalenError: the scheduler can't be used, or no processes can be started.
         KeyboardInterrupt: Ctrl-C; local processes have ended. On a cluster, bags that are being
             worked on are worked through, and their results dropped.
 

@@ -24,8 +24,7 @@ from dask.system import CPU_COUNT
 from distributed import Client, LocalCluster
 from distributed.core import rpc
 from distributed.security import Security
-
-from galen_bags import ClusterError
+from galen_model.errors import GalenError
 
 # A worker that does not end by itself is killed after this time.
 _END_S = 0.5
@@ -56,7 +55,7 @@ def local_workers(count: int) -> Iterator[Client]:
     When it ends, for whatever reason, they are gone, and so are their files.
     """
     if getattr(multiprocessing.current_process(), "_inheriting", False):
-        raise ClusterError(
+        raise GalenError(
             "many bags at once: the script that asks for it is being imported by a worker process;"
             ' it must ask below `if __name__ == "__main__":`'
         )
@@ -95,7 +94,7 @@ def _start(count: int) -> LocalCluster:
         )
     except (RuntimeError, OSError) as error:
         reason = f"{error or type(error).__name__}".splitlines()[0]
-        raise ClusterError(
+        raise GalenError(
             f"many bags at once: worker processes can't be started: {reason} (a script that asks"
             ' for it must do so below `if __name__ == "__main__":`)'
         ) from error
@@ -138,26 +137,26 @@ def _interrupts_held() -> Iterator[None]:
 def scheduler_client(scheduler: str, timeout_s: float) -> Iterator[Client]:
     """Connect to the scheduler at an address, such as tcp://host:8786, or of a scheduler file.
 
-    Raises ClusterError if none answers within `timeout_s`, or if it has no workers.
+    Raises GalenError if none answers within `timeout_s`, or if it has no workers.
     """
     address = _address(scheduler)
     try:
         identity = asyncio.run(_ask(address, timeout_s))
     except TimeoutError:
-        raise ClusterError(f"{scheduler}: no scheduler answers within {timeout_s:g} s") from None
+        raise GalenError(f"{scheduler}: no scheduler answers within {timeout_s:g} s") from None
     # Whatever an address that is none of a scheduler brings; a MemoryError is among it.
     except Exception as error:
         reason = f"{error or type(error).__name__}".splitlines()[0]
-        raise ClusterError(f"{scheduler}: can't be asked as a scheduler: {reason}") from error
+        raise GalenError(f"{scheduler}: can't be asked as a scheduler: {reason}") from error
     if identity.get("type") != "Scheduler":
-        raise ClusterError(f"{scheduler}: is a {identity.get('type')}, not a scheduler")
+        raise GalenError(f"{scheduler}: is a {identity.get('type')}, not a scheduler")
     if not identity["workers"]:
-        raise ClusterError(f"{scheduler}: the scheduler has no workers")
+        raise GalenError(f"{scheduler}: the scheduler has no workers")
     try:
         client = Client(address, timeout=timeout_s, set_as_default=False)
     except (OSError, ImportError) as error:
         reason = f"{error or type(error).__name__}".splitlines()[0]
-        raise ClusterError(f"{scheduler}: can't be connected to: {reason}") from error
+        raise GalenError(f"{scheduler}: can't be connected to: {reason}") from error
     logger = logging.getLogger("distributed.client")
     disabled, logger.disabled = logger.disabled, True  # `many` says itself that it was lost
     try:
@@ -183,6 +182,6 @@ def _address(scheduler: str) -> str:
     try:
         return str(json.loads(path.read_text(encoding="utf-8"))["address"])
     except OSError as error:
-        raise ClusterError(f"{path}: can't be read: {error.strerror}") from error
+        raise GalenError(f"{path}: can't be read: {error.strerror}") from error
     except (ValueError, LookupError, TypeError) as error:
-        raise ClusterError(f"{path}: is no scheduler file: it names no address") from error
+        raise GalenError(f"{path}: is no scheduler file: it names no address") from error

@@ -15,9 +15,10 @@ from pathlib import Path
 import psutil
 import pytest
 from galen_bags.many import run_many
+from galen_model.errors import GalenError
 from galen_ros.command import add_workers
 
-from galen_bags import BagError, ClusterError
+from galen_bags import BagError
 
 WAIT_S = 30.0
 NOTHING_SAID = 0.3  # s without an answer are enough to see that there is none
@@ -153,7 +154,7 @@ def server(answer):
 def test_what_is_no_scheduler_is_named_and_not_waited_for(tmp_path, answer):
     with (
         server(answer) as address,
-        pytest.raises(ClusterError, match=f"^{address}: (no scheduler answers|can't be asked)"),
+        pytest.raises(GalenError, match=f"^{address}: (no scheduler answers|can't be asked)"),
     ):
         run_many(work, make(tmp_path, "good.1"), scheduler=address, timeout_s=NOTHING_SAID)
 
@@ -161,7 +162,7 @@ def test_what_is_no_scheduler_is_named_and_not_waited_for(tmp_path, answer):
 def test_a_scheduler_without_workers_is_not_waited_for(tmp_path):
     with (
         cluster_of_threads(0, tmp_path) as empty,
-        pytest.raises(ClusterError, match="the scheduler has no workers"),
+        pytest.raises(GalenError, match="the scheduler has no workers"),
     ):
         run_many(work, make(tmp_path, "good.1"), scheduler=empty.scheduler_address)
 
@@ -309,5 +310,5 @@ def test_a_script_without_a_guard_is_told_so(tmp_path):
     )
     assert process.returncode == 1
     last = process.stderr.strip().splitlines()[-1]
-    assert "ClusterError: " in last
+    assert "GalenError: " in last
     assert 'below `if __name__ == "__main__":`' in last

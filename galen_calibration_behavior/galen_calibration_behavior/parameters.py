@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from galen_model.arm.clearance import boxes_from_numbers
 from galen_model.arrays import Array
+from galen_model.errors import GalenError
 from galen_model.load.identification import check_planned_poses
 from galen_model.load.mounting.mounting import entities
 from galen_model.poses.order import SweepTimes
 from galen_model.poses.plan import (
-    GridError,
     Surroundings,
     SweepGrid,
     SweepPlan,
@@ -106,7 +106,7 @@ class CalibrationParameters(PoseParameters):
     def validate(self) -> None:
         """Reject a home or a sweep outside the joint limits, and what can't be estimated.
 
-        Raises GridError naming the joint, IdentificationError naming the group, ObstacleError
+        Raises GalenError naming the joint, IdentificationError naming the group, ObstacleError
         naming the box, ParameterError naming the parameter.
         """
         for name, value, low, high in zip(
@@ -117,7 +117,7 @@ class CalibrationParameters(PoseParameters):
             strict=True,
         ):
             if not low <= value <= high:
-                raise GridError(f"{name} = {value:g} is outside its limits, {low:g} ... {high:g}")
+                raise GalenError(f"{name} = {value:g} is outside its limits, {low:g} ... {high:g}")
         entities(self.estimate)
         self.grid_poses(self.itersT, self.itersR)
         if self.poses not in POSES:
@@ -165,13 +165,13 @@ class CalibrationParameters(PoseParameters):
         return self.poses == "chosen"
 
     def grid_poses(self, tilts: int, rolls: int) -> Array:
-        """Return the grid's angles (n, 2), rad; raises GridError."""
+        """Return the grid's angles (n, 2), rad; raises GalenError."""
         grid = SweepGrid(self.tstart, self.tend, tilts, self.rstart, self.rend, rolls)
         lower, upper = self.angle_limits
         return grid.poses(tuple(lower.tolist()), tuple(upper.tolist()))
 
     def listed_poses(self) -> Array:
-        """Return the listed poses (n, k), rad; raises ParameterError or GridError."""
+        """Return the listed poses (n, k), rad; raises GalenError."""
         numbers, names = self.listed_poses_rad, self.arm.turning_names
         if not numbers or len(numbers) % len(names) or len(numbers) > len(names) * MAX_LISTED:
             raise ParameterError(
@@ -183,7 +183,7 @@ class CalibrationParameters(PoseParameters):
         outside = np.any((poses < lower) | (poses > upper), axis=1)
         if outside.any():
             index = int(np.argmax(outside))
-            raise GridError(
+            raise GalenError(
                 f"pose {index} of listed_poses_rad ({self.arm.described(poses[index])}) is outside"
                 " the joints' limits"
             )

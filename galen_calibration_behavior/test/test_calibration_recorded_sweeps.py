@@ -5,9 +5,10 @@ import pytest
 from calibration_tape import NO_TOOL, POINTER, RETRACTOR, Tape, grid
 from galen_calibration_behavior.calibration.estimate import estimate
 from galen_calibration_behavior.from_bag.sweeps import SweepSorter
-from galen_calibration_behavior.from_bag.visits import RecordingError, find_visits
+from galen_calibration_behavior.from_bag.visits import find_visits
 from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_model.arm.galen import GALEN
+from galen_model.errors import GalenError
 from galen_model.load.model import Load, gravity_wrench
 from galen_model.load.nominal_tools import ADAPTER
 
@@ -156,7 +157,7 @@ def test_a_steady_push_is_the_fit_s_to_find():
     ids=["bare", "tool", "bare twice", "too light"],
 )
 def test_a_recording_in_which_no_tool_came_on_is_rejected_and_told_what_it_may_be(tape):
-    with pytest.raises(RecordingError, match=r"no tool came on.*--one-sweep.*--tool-on-at-s"):
+    with pytest.raises(GalenError, match=r"no tool came on.*--one-sweep.*--tool-on-at-s"):
         two_sweeps(tape)
 
 
@@ -166,7 +167,7 @@ def test_a_light_tool_is_found_or_rejected_but_never_put_on_at_a_wrong_place():
         tape = Tape(seed=4).calibration(Load(mass, np.array([0.05, 0.0, 0.04])))
         try:
             sweeps = two_sweeps(tape)
-        except RecordingError:
+        except GalenError:
             outcomes.append(False)
             continue
         outcomes.append(True)
@@ -184,7 +185,7 @@ def test_where_a_pose_belongs_to_either_sweep_the_border_is_asked_for():
     tape.touch = lambda _: np.zeros(6)
     tape.tool = POINTER
     tape.sweep(POSES)
-    with pytest.raises(RecordingError, match=r"before the pose at 19\.0 s or .*--tool-on-at-s"):
+    with pytest.raises(GalenError, match=r"before the pose at 19\.0 s or .*--tool-on-at-s"):
         two_sweeps(tape)
     sweeps = two_sweeps(tape, tool_on_at_s=20.0)
     assert counts(sweeps) == (len(POSES), len(POSES))
@@ -194,11 +195,11 @@ def test_where_a_pose_belongs_to_either_sweep_the_border_is_asked_for():
 def test_the_border_given_by_hand_is_taken_and_a_wrong_one_is_found_out():
     tape = Tape().calibration(POINTER)
     assert counts(two_sweeps(tape, tool_on_at_s=23.5)) == (len(POSES), len(POSES))
-    with pytest.raises(RecordingError, match=r"the load is another from 25\.0 s on"):
+    with pytest.raises(GalenError, match=r"the load is another from 25\.0 s on"):
         two_sweeps(tape, tool_on_at_s=38.0)
-    with pytest.raises(RecordingError, match=r"no still pose after --tool-on-at-s 1000; they lie"):
+    with pytest.raises(GalenError, match=r"no still pose after --tool-on-at-s 1000; they lie"):
         two_sweeps(tape, tool_on_at_s=1000.0)
-    with pytest.raises(RecordingError, match=r"no still pose before --tool-on-at-s 0;"):
+    with pytest.raises(GalenError, match=r"no still pose before --tool-on-at-s 0;"):
         two_sweeps(tape, tool_on_at_s=0.0)
 
 
@@ -209,7 +210,7 @@ def test_two_recordings_of_a_sweep_each():
     assert counts(sweeps) == (len(POSES), len(POSES))
     assert sweeps.border is None
     assert error_squared(found(sweeps).content.load, POINTER) < CHI2_4
-    with pytest.raises(RecordingError, match="the load is another from"):
+    with pytest.raises(GalenError, match="the load is another from"):
         SORTER.two_recordings(bare, visits(Tape().calibration(POINTER)))
 
 
@@ -221,9 +222,9 @@ def test_a_recording_cut_off_in_the_second_sweep_gives_what_it_holds():
     assert counts(sweeps)[0] == len(POSES)
     assert 8 <= counts(sweeps)[1] < len(POSES)
     assert error_squared(found(sweeps).content.load, POINTER) < CHI2_4
-    with pytest.raises(RecordingError, match="no tool came on"):
+    with pytest.raises(GalenError, match="no tool came on"):
         SORTER.two_sweeps(find_visits(tape.recording(stop=stop // 2), SETTINGS))
-    with pytest.raises(RecordingError, match="5 still poses are too few"):
+    with pytest.raises(GalenError, match="5 still poses are too few"):
         SORTER.two_sweeps(find_visits(tape.recording(stop=1080), SETTINGS))
 
 
@@ -233,5 +234,5 @@ def test_too_few_good_poses_are_rejected_as_live():
     start = recording.wrench_stamp_ns[0]
     time_s = (recording.wrench_stamp_ns - start) / 1e9
     recording.wrenches[time_s < 11.0, 0] = np.nan
-    with pytest.raises(RecordingError, match=r"only 5 of 12 poses of the tool .*fx not finite"):
+    with pytest.raises(GalenError, match=r"only 5 of 12 poses of the tool .*fx not finite"):
         SORTER.one_sweep(find_visits(recording, SETTINGS))

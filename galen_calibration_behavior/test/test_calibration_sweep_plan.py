@@ -11,12 +11,12 @@ from galen_calibration_behavior.commands import CalibrationCode
 from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_model.arm.clearance import ArmClearance, ObstacleError, boxes_from_numbers
 from galen_model.arm.galen import GALEN
-from galen_model.errors import NotExcitedError
+from galen_model.errors import GalenError, NotExcitedError
 from galen_model.load.identification import plain_least_squares
 from galen_model.load.model import gravity_wrench
 from galen_model.load.nominal_tools import ADAPTER
 from galen_model.poses.order import drift_share, order_poses, quintic_duration_s
-from galen_model.poses.plan import GridError, SweepGrid, make_router
+from galen_model.poses.plan import SweepGrid, make_router
 from galen_ros.parameters import ParameterError
 from test_calibration_procedure import World
 
@@ -177,7 +177,7 @@ def test_the_serpentine_takes_the_order_with_less_travel():
     ],
 )
 def test_an_impossible_grid_names_joint_and_value(change, words):
-    with pytest.raises(GridError) as error:
+    with pytest.raises(GalenError) as error:
         grid(**change)
     assert all(word in str(error.value) for word in words), str(error.value)
 
@@ -205,7 +205,7 @@ def test_what_can_not_be_visited_is_rejected_by_its_number():
     for numbers in ((), (0.1, 0.2, 0.3), tuple([0.1, 0.2] * 1001)):
         with pytest.raises(ParameterError, match=f"listed_poses_rad' has {len(numbers)} numbers"):
             CalibrationParameters(poses="listed", listed_poses_rad=numbers).validate()
-    with pytest.raises(GridError, match=r"pose 2 of listed_poses_rad .roll 0.000, tilt 1.200 rad"):
+    with pytest.raises(GalenError, match=r"pose 2 of listed_poses_rad .roll 0.000, tilt 1.200 rad"):
         listed([[0.0, 0.0], [0.1, 0.0], [0.0, 1.2]]).validate()
     with pytest.raises(NotExcitedError):
         listed([[0.1 * k, 0.0] for k in range(8)]).plan(TIP)

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 from galen_bags.arrays.joint_table import JointColumns, read_joint_run, read_joint_runs
-from galen_bags.arrays.tables import TableError
 from galen_deflection.evaluate import main
+from galen_model.errors import GalenError
 from joint_synthetic import RATE_HZ, STIFFNESS, lost_run, spring_run, write_csv
 
 REAL = Path(__file__).resolve().parents[3] / "shared" / "data" / "real"
@@ -44,14 +44,14 @@ def test_columns_gears_and_senses(tmp_path):
 def test_stamps_that_cannot_be_are_told_with_their_line(table, tmp_path):
     text = table.read_text()
     edited(table, 12, text.splitlines()[10])
-    with pytest.raises(TableError, match=r"run.csv: line 12: the time 0.09 in column 't' does not"):
+    with pytest.raises(GalenError, match=r"run.csv: line 12: the time 0.09 in column 't' does not"):
         read_joint_run(table, JointColumns())
     table.write_text("\n".join(text.splitlines()[:40] + text.splitlines()[60:]) + "\n")
-    with pytest.raises(TableError, match=r"run.csv: line 41: 0.21 after the reading before it"):
+    with pytest.raises(GalenError, match=r"run.csv: line 41: 0.21 after the reading before it"):
         read_joint_run(table, JointColumns())
     fast = spring_run("fast", 1, 1e-5, seconds=2.0)
     file = write_csv(tmp_path / "fast.csv", replace(fast, time_s=1e-3 * fast.time_s))
-    with pytest.raises(TableError, match=r"fast.csv: column 't' steps by 1e-05; .* --time-scale"):
+    with pytest.raises(GalenError, match=r"fast.csv: column 't' steps by 1e-05; .* --time-scale"):
         read_joint_run(file, JointColumns())
     assert read_joint_run(file, JointColumns(time_scale_s=1e3)).step_s == pytest.approx(
         1.0 / RATE_HZ
@@ -59,25 +59,25 @@ def test_stamps_that_cannot_be_are_told_with_their_line(table, tmp_path):
 
 
 def test_columns_that_do_not_do_are_told(table):
-    with pytest.raises(TableError, match=r"run.csv: no column 'tau'; there are t, motor"):
+    with pytest.raises(GalenError, match=r"run.csv: no column 'tau'; there are t, motor"):
         read_joint_run(table, JointColumns(torque="tau"))
-    with pytest.raises(TableError, match="two runs have the name run"):
+    with pytest.raises(GalenError, match="two runs have the name run"):
         read_joint_runs([table, table], JointColumns())
-    with pytest.raises(TableError, match="'motor' and 'motor' are the same but for an offset"):
+    with pytest.raises(GalenError, match="'motor' and 'motor' are the same but for an offset"):
         read_joint_run(table, JointColumns(link="motor"))
     text = table.read_text()
     edited(table, 20, "0.18,0.1,0.1,1e200")
-    with pytest.raises(TableError, match="column 'torque': '1e200' is not a finite number"):
+    with pytest.raises(GalenError, match="column 'torque': '1e200' is not a finite number"):
         read_joint_run(table, JointColumns())
     edited(table, 20, "0.18,0.1,nan,3")
-    with pytest.raises(TableError, match=r"line 20, column 'link': 'nan' is not a finite number"):
+    with pytest.raises(GalenError, match=r"line 20, column 'link': 'nan' is not a finite number"):
         read_joint_run(table, JointColumns())
     table.write_text("\n".join(text.splitlines()[:30]) + "\n")
-    with pytest.raises(TableError, match=r"run.csv: 29 readings"):
+    with pytest.raises(GalenError, match=r"run.csv: 29 readings"):
         read_joint_run(table, JointColumns())
     still = "".join(f"{k / 100},{k},1.5,2\n" for k in range(60))
     table.write_text("t,motor,link,torque\n" + still)
-    with pytest.raises(TableError, match=r"column 'link' never changes"):
+    with pytest.raises(GalenError, match=r"column 'link' never changes"):
         read_joint_run(table, JointColumns())
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from calibration_files import pointer
-from galen_bags.arrays.tables import OrientationTable, TableError, read_table
+from galen_bags.arrays.tables import OrientationTable, read_table
 from galen_gravcomp.evaluate.command import main
 from galen_gravcomp.evaluate.table_scores import (
     contiguous_blocks,
@@ -16,6 +16,7 @@ from galen_gravcomp.evaluate.table_scores import (
     robust_model,
 )
 from galen_model.arm.galen import GALEN, GRAVITY_M_S2
+from galen_model.errors import GalenError
 from galen_model.files.calibration_file import (
     read_calibration,
     write_calibration,
@@ -83,7 +84,7 @@ def test_wrenches_in_the_base_are_turned_back(tmp_path, readings):
     table = read_table(path, ["qx", "qy", "qz", "qw", *WRENCH], wrench_frame="base")
     np.testing.assert_allclose(table.wrench, wrench, atol=1e-12)
     path = write(tmp_path / "g.csv", ["gx", "gy", "gz", *WRENCH], np.hstack([gravity, wrench]))
-    with pytest.raises(TableError, match=r"wrenches in the base need"):
+    with pytest.raises(GalenError, match=r"wrenches in the base need"):
         read_table(path, wrench_frame="base")
 
 

@@ -154,10 +154,6 @@ Used = list[np.ndarray]
 """Of each run, which readings (n,) bool."""
 
 
-class PartsError(GalenError):
-    """Runs that can't be held out as asked; the message says what lacks."""
-
-
 @dataclass(frozen=True)
 class Parts:
     """The parts (p,) of some runs.
@@ -184,17 +180,17 @@ def whole_runs(runs: Sequence[JointRun], unlike: str | None = None) -> Parts:
     """Each run is a part.
 
     `unlike`: a pattern for the runs' names; where all its groups differ, and only there, one run
-    may train for the other. Raises PartsError.
+    may train for the other. Raises GalenError.
     """
     if len(runs) < 3:
-        raise PartsError(f"{len(runs)} runs: to hold out whole ones takes three; hold out blocks")
+        raise GalenError(f"{len(runs)} runs: to hold out whole ones takes three; hold out blocks")
     groups = [_groups(run.name, unlike) for run in runs]
     apart = np.array([[all(a != b for a, b in zip(x, y, strict=True)) for y in groups]
                       for x in groups])  # fmt: skip
     np.fill_diagonal(apart, False)
     for run, others in zip(runs, apart, strict=True):
         if others.sum() < 2:
-            raise PartsError(
+            raise GalenError(
                 f"run {run.name}: {int(others.sum())} runs differ from it in every group of "
                 f"{unlike!r}; two are needed to fit a model that it checks"
             )
@@ -205,7 +201,7 @@ def whole_runs(runs: Sequence[JointRun], unlike: str | None = None) -> Parts:
 def time_blocks(runs: Sequence[JointRun], count: int) -> Parts:
     """Each run is cut into `count` equal blocks of time, the same of all runs are a part."""
     if count < 3:
-        raise PartsError(f"{count} blocks: at least three are needed")
+        raise GalenError(f"{count} blocks: at least three are needed")
     label = tuple(np.arange(len(run)) * count // len(run) for run in runs)
     names = tuple(f"block {k + 1} of {count}" for k in range(count))
     return Parts(names, label, ~np.eye(count, dtype=bool), whole_runs=False)
@@ -217,10 +213,10 @@ def _groups(name: str, unlike: str | None) -> tuple[str, ...]:
     try:
         pattern = re.compile(unlike)
     except re.error as error:
-        raise PartsError(f"{unlike!r} is no regular expression: {error}") from error
+        raise GalenError(f"{unlike!r} is no regular expression: {error}") from error
     found = pattern.search(name)
     if found is None or not pattern.groups or None in found.groups():
-        raise PartsError(f"run {name}: {unlike!r} finds no groups in its name")
+        raise GalenError(f"run {name}: {unlike!r} finds no groups in its name")
     return found.groups()
 
 

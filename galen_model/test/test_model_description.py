@@ -3,9 +3,10 @@
 import numpy as np
 import pinocchio
 import pytest
-from galen_model.arm.description import DescriptionError, read_arm
+from galen_model.arm.description import read_arm
 from galen_model.arm.galen import GALEN
 from galen_model.arm.urdf import galen_urdf
+from galen_model.errors import GalenError
 
 
 def joint(name, kind, parent, child, rng, axis):
@@ -116,14 +117,14 @@ def test_the_galens_description_is_the_galen():
     ],
 )
 def test_names_what_a_description_lacks(text, frames, message):
-    with pytest.raises(DescriptionError, match=message):
+    with pytest.raises(GalenError, match=message):
         read_arm(random_robot(0) if text is None else text, **{"sensor_frame": "sensor", **frames})
 
 
 @pytest.mark.parametrize("kind", ["floating", "planar"])
 def test_rejects_joints_of_several_degrees_of_freedom(kind):
     text = random_robot(0).replace('type="continuous"', f'type="{kind}"')
-    with pytest.raises(DescriptionError, match="degrees of freedom; revolute, continuous and"):
+    with pytest.raises(GalenError, match="degrees of freedom; revolute, continuous and"):
         read_arm(text, sensor_frame="sensor")
 
 
@@ -131,5 +132,5 @@ def test_rejects_a_joint_that_follows_another():
     text = random_robot(0).replace(
         '<limit lower="-2"', '<mimic joint="joint_1" multiplier="2"/><limit lower="-2"'
     )
-    with pytest.raises(DescriptionError, match="follows joint_1"):
+    with pytest.raises(GalenError, match="follows joint_1"):
         read_arm(text, sensor_frame="sensor")

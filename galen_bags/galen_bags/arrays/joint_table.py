@@ -11,10 +11,11 @@ from pathlib import Path
 
 import numpy as np
 from galen_model.arrays import Array
+from galen_model.errors import GalenError
 from galen_model.transmission import JointRun
 from galen_ros.command import positive
 
-from galen_bags.arrays.tables import TableError, TextTable, read_text_table
+from galen_bags.arrays.tables import TextTable, read_text_table
 
 COLUMNS = ("t", "motor", "link", "torque")
 MOST_READINGS_HZ = 20e3
@@ -48,29 +49,29 @@ class JointColumns:
 def read_joint_runs(
     files: Sequence[str | os.PathLike[str]], columns: JointColumns
 ) -> list[JointRun]:
-    """Read one run a file; raises TableError that names file and line, or column."""
+    """Read one run a file; raises GalenError that names file and line, or column."""
     runs = [read_joint_run(file, columns) for file in files]
     names = [run.name for run in runs]
     for name in names:
         if names.count(name) > 1:
-            raise TableError(f"two runs have the name {name}: is a file given twice?")
+            raise GalenError(f"two runs have the name {name}: is a file given twice?")
     return runs
 
 
 def read_joint_run(file: str | os.PathLike[str], columns: JointColumns) -> JointRun:
-    """Read a run; raises TableError that names file and line, or column."""
+    """Read a run; raises GalenError that names file and line, or column."""
     wanted = [columns.motor, columns.link, columns.torque, columns.t]
     table = read_text_table(file, wanted)
     motor, link, torque = (table.require(name) for name in wanted[:3])
     if len(motor) < _FEWEST_READINGS:
-        raise TableError(f"{table.path}: {len(motor)} readings; a run needs {_FEWEST_READINGS}")
+        raise GalenError(f"{table.path}: {len(motor)} readings; a run needs {_FEWEST_READINGS}")
     for name, values in zip(wanted[:2], (motor, link), strict=True):
         if np.ptp(values) == 0.0:
-            raise TableError(f"{table.path}: column {name!r} never changes: that end stands still")
+            raise GalenError(f"{table.path}: column {name!r} never changes: that end stands still")
     for name, values in zip(wanted, (motor, link, torque), strict=False):
         if np.abs(values).max() > _LARGEST:
             at = int(np.argmax(np.abs(values)))
-            raise TableError(
+            raise GalenError(
                 f"{table.path}: line {table.lines[at]}, column {name!r}: {values[at]:g} is no"
                 " measurement in rad or N.m"
             )
@@ -82,7 +83,7 @@ def read_joint_run(file: str | os.PathLike[str], columns: JointColumns) -> Joint
         torque=torque * columns.torque_gear,
     )
     if np.ptp(run.lag) == 0.0:
-        raise TableError(
+        raise GalenError(
             f"{table.path}: columns {wanted[0]!r} and {wanted[1]!r} are the same but for an offset:"
             " nothing deflects between them"
         )
@@ -94,20 +95,20 @@ def _time(table: TextTable, columns: JointColumns, motor: Array) -> Array:
     steps = np.diff(time)
     if np.any(steps <= 0.0):
         at = int(np.argmax(steps <= 0.0)) + 1
-        raise TableError(
+        raise GalenError(
             f"{table.path}: line {table.lines[at]}: the time {time[at]:g} in column {columns.t!r} "
             f"does not come after {time[at - 1]:g}"
         )
     usual = float(np.median(steps))
     if np.any(steps > _LONGEST_GAP * usual):
         at = int(np.argmax(steps > _LONGEST_GAP * usual)) + 1
-        raise TableError(
+        raise GalenError(
             f"{table.path}: line {table.lines[at]}: {steps[at - 1]:g} after the reading before it, "
             f"where {usual:g} is usual: a gap cuts what the joint remembers; split the file there"
         )
     if columns.time_scale_s is None and usual * MOST_READINGS_HZ < 1.0:
         fastest = np.abs(np.diff(motor)).sum() / (time[-1] - time[0])
-        raise TableError(
+        raise GalenError(
             f"{table.path}: column {columns.t!r} steps by {usual:g}; in seconds that were "
             f"{1.0 / usual:.0f} readings a second, and {fastest:.3g} rad/s on average: give "
             "--time-scale, the seconds a unit of this column"

@@ -37,10 +37,6 @@ _MOST_BYTES = 1 << 30
 _LARGEST = 1e30
 
 
-class TableError(GalenError):
-    """A table that can't be read; the message names the file and the line or column."""
-
-
 @dataclass(frozen=True)
 class TextTable:
     """A file's columns: cells as they are, the numbers (n,) of those that were asked for.
@@ -55,9 +51,9 @@ class TextTable:
     numbers: dict[str, Array]
 
     def require(self, name: str) -> Array:
-        """Return the numbers (n,) of a column; raises TableError that names those there are."""
+        """Return the numbers (n,) of a column; raises GalenError that names those there are."""
         if name not in self.names:
-            raise TableError(f"{self.path}: no column {name!r}; there are {', '.join(self.names)}")
+            raise GalenError(f"{self.path}: no column {name!r}; there are {', '.join(self.names)}")
         return self.numbers[name]
 
 
@@ -67,7 +63,7 @@ def read_text_table(
     """Read a table; the columns `known` must hold finite numbers where they are there.
 
     `columns` names the columns of a file without a first line of names, "-" for one to skip.
-    Raises TableError naming the file and what is wrong in it.
+    Raises GalenError naming the file and what is wrong in it.
     """
     path = Path(path)
     names, rows, lines = _rows(path, columns)
@@ -83,9 +79,9 @@ def _rows(
             raw = stream.read(_MOST_BYTES + 1)
         text = raw[:_MOST_BYTES].decode("utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        raise TableError(f"{path}: can't be read: {error}") from error
+        raise GalenError(f"{path}: can't be read: {error}") from error
     if len(raw) > _MOST_BYTES:
-        raise TableError(f"{path}: larger than {_MOST_BYTES} bytes, not a table of readings")
+        raise GalenError(f"{path}: larger than {_MOST_BYTES} bytes, not a table of readings")
     names = [name.strip() for name in columns] if columns else None
     rows: list[list[str]] = []
     lines: list[int] = []
@@ -97,19 +93,19 @@ def _rows(
         if names is None:
             names = cells
             if any(_is_number(cell) for cell in cells):
-                raise TableError(f"{path}: line {number} names no columns; name them on the call")
+                raise GalenError(f"{path}: line {number} names no columns; name them on the call")
             continue
         if len(cells) != len(names):
-            raise TableError(
+            raise GalenError(
                 f"{path}: line {number} has {len(cells)} values; there are {len(names)} columns"
             )
         rows.append(cells)
         lines.append(number)
     if names is None or not rows:
-        raise TableError(f"{path}: no readings in it")
+        raise GalenError(f"{path}: no readings in it")
     doubles = sorted(name for name, count in Counter(names).items() if count > 1 and name != "-")
     if doubles:
-        raise TableError(f"{path}: column {doubles[0]!r} is there twice")
+        raise GalenError(f"{path}: column {doubles[0]!r} is there twice")
     return names, rows, lines
 
 
@@ -144,7 +140,7 @@ def _numbers(
         for row, (cells, line) in enumerate(zip(rows, lines, strict=True)):
             # NaN fails the comparison.
             if not _is_number(cells[index]) or not abs(float(cells[index])) <= _LARGEST:
-                raise TableError(
+                raise GalenError(
                     f"{path}: line {line}, column {name!r}: {cells[index]!r:.80} is not a finite"
                     f" number up to {_LARGEST:g}"
                 )
@@ -225,21 +221,21 @@ def read_table(
     wrench_frame: "sensor", or "base" when the file's wrenches were turned into the base's axes
     (still about the sensor's origin); they are turned back with the orientation.
 
-    Raises TableError naming the file and what is wrong in it.
+    Raises GalenError naming the file and what is wrong in it.
     """
     text = _read(path, columns, arm)
     wrench = _wrench(text)
     gravity, rotation, kind = _orientation(text, arm)
     if wrench_frame == "base":
         if rotation is None:
-            raise TableError(
+            raise GalenError(
                 f"{text.path}: wrenches in the base need qx..qw, r11..r33 or"
                 f" {', '.join(arm.turning_names)}"
             )
         turned = [np.einsum("nji,nj->ni", rotation, part) for part in np.split(wrench, 2, axis=1)]
         wrench = np.concatenate(turned, axis=1)
     elif wrench_frame != "sensor":
-        raise TableError(f"wrench frame {wrench_frame!r}: expected 'sensor' or 'base'")
+        raise GalenError(f"wrench frame {wrench_frame!r}: expected 'sensor' or 'base'")
     block = None
     if "block" in text.names:
         at = text.names.index("block")
@@ -253,7 +249,7 @@ def read_wrenches(
 ) -> tuple[Array, Array]:
     """Return times (n,) as the file has them and wrenches (n, 6) of a table of t, fx ... tz.
 
-    Raises TableError naming the file and what is wrong in it.
+    Raises GalenError naming the file and what is wrong in it.
     """
     text = read_text_table(path, {"t", *WRENCH_AXES}, columns)
     return _time(text), _wrench(text)
@@ -264,7 +260,7 @@ def read_orientations(
 ) -> tuple[Array, Array]:
     """Read times (n,) as the file has them and gravity (n, 3), m/s^2, of a table without wrenches.
 
-    Raises TableError naming the file and what is wrong in it.
+    Raises GalenError naming the file and what is wrong in it.
     """
     text = _read(path, columns, arm)
     return _time(text), _orientation(text, arm)[0]
@@ -336,7 +332,7 @@ def _orientation(text: TextTable, arm: Arm) -> tuple[Array, Array | None, str]:
     kinds = [kind for kind, needed in ways.items() if set(needed) <= set(text.names)]
     if not kinds:
         listed = "; ".join(" ".join(needed) for needed in ways.values())
-        raise TableError(f"{path}: no orientation; give the columns of one of: {listed}")
+        raise GalenError(f"{path}: no orientation; give the columns of one of: {listed}")
     columns = {kind: np.column_stack([numbers[name] for name in ways[kind]]) for kind in kinds}
     rotations = [
         arm.rotation(cells) if kind == "joints" else _rotation(path, cells, kind, lines)
@@ -354,7 +350,7 @@ def _orientation(text: TextTable, arm: Arm) -> tuple[Array, Array | None, str]:
     off = np.abs(size / STANDARD_GRAVITY_M_S2 - 1.0) > _GRAVITY_TOLERANCE
     if np.any(off):
         row = int(np.argmax(off))
-        raise TableError(
+        raise GalenError(
             f"{path}: line {lines[row]}: gx gy gz has the length {size[row]:.4g}; expected about "
             "9.8 m/s^2 (or 1, in g)"
         )
@@ -372,7 +368,7 @@ def _rotation(path: Path, cells: Array, kind: str, lines: list[int]) -> Array:
         bad |= np.linalg.det(matrices) < 0.0
         what = "r11 ... r33 is not a rotation"
     if np.any(bad):
-        raise TableError(f"{path}: line {lines[int(np.argmax(bad))]}: {what}")
+        raise GalenError(f"{path}: line {lines[int(np.argmax(bad))]}: {what}")
     return quaternion_to_matrix(cells) if kind == "quaternion" else cells.reshape(-1, 3, 3)
 
 
@@ -403,7 +399,7 @@ def read_motion(
     time_unit_s: float,
     imu_unit_m_s2: float,
 ) -> MotionTable:
-    """Return a run's tables; without an IMU its arrays are empty. Raises TableError."""
+    """Return a run's tables; without an IMU its arrays are empty. Raises GalenError."""
     wrench_t, wrench = read_wrenches(wrench_file)
     gravity_t, gravity = read_orientations(orientations_file)
     imu_t, specific = np.zeros(0), np.zeros((0, 3))
@@ -428,14 +424,14 @@ def _check_times(path: Path, times: Array) -> None:
     late = np.flatnonzero(np.diff(times) <= 0.0)
     if len(late):
         row = int(late[0]) + 1
-        raise TableError(
+        raise GalenError(
             f"{path}: reading {row + 1} has t = {times[row]:.15g} after {times[row - 1]:.15g};"
             " a run's times increase"
         )
 
 
 def read_specific(path: Path, unit_m_s2: float) -> Array:
-    """Specific force (n, 3), m/s^2, of a table of ax ay az; raises TableError."""
+    """Specific force (n, 3), m/s^2, of a table of ax ay az; raises GalenError."""
     text = read_text_table(path, set(_IMU))
     return unit_m_s2 * np.column_stack([text.require(name) for name in _IMU])
 

@@ -18,7 +18,7 @@ from itertools import groupby
 import numpy as np
 from galen_model.arm.arm import Arm
 from galen_model.arrays import Array
-from galen_model.errors import IdentificationError
+from galen_model.errors import GalenError, IdentificationError
 from galen_model.load.identification import MIN_POSES, StillPoses
 from galen_model.rest.pose import PoseRecord, wrench_fault
 from galen_ros.goal.arrival import NS, PoseRejection
@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike
 from galen_calibration_behavior.calibration.sweep import stack
 from galen_calibration_behavior.commands import Measurements
 from galen_calibration_behavior.from_bag.tool_border import Border, find_border
-from galen_calibration_behavior.from_bag.visits import RecordingError, Visit, Visits
+from galen_calibration_behavior.from_bag.visits import Visit, Visits
 from galen_calibration_behavior.parameters import CalibrationParameters
 
 
@@ -140,7 +140,7 @@ class SweepSorter:
     def two_sweeps(self, recording: Visits, tool_on_at_s: float | None = None) -> RecordedSweeps:
         """Both sweeps out of one recording; where the tool came on is found, or given.
 
-        Raises RecordingError, also where it can't be told where the tool came on.
+        Raises GalenError, also where it can't be told where the tool came on.
         """
         visits, warnings = self._home.after_zeroing(recording)
         visits = self._home.without_ends(visits)
@@ -154,7 +154,7 @@ class SweepSorter:
             tool = [v for v in visits if v.window_ns[0] >= at_ns]
             if not bare or not tool:
                 side = "before" if not bare else "after"
-                raise RecordingError(
+                raise GalenError(
                     f"{recording.path}: there is no still pose {side} --tool-on-at-s"
                     f" {tool_on_at_s:g}; they lie between {_span(recording, visits)}"
                 )
@@ -169,7 +169,7 @@ class SweepSorter:
         return RecordedSweeps(done.measurements, done.poses, border, tool_on_s)
 
     def two_recordings(self, bare: Visits, tool: Visits) -> RecordedSweeps:
-        """Return a recording of each sweep; raises RecordingError."""
+        """Return a recording of each sweep; raises GalenError."""
         parts, warnings = [], []
         for name, recording in (("bare", bare), ("tool", tool)):
             visits, lost = self._home.after_zeroing(recording)
@@ -178,13 +178,13 @@ class SweepSorter:
         return self._put_together(parts[0], parts[1], warnings)
 
     def one_sweep(self, recording: Visits) -> RecordedSweeps:
-        """Return a recording of the tool's sweep alone; raises RecordingError."""
+        """Return a recording of the tool's sweep alone; raises GalenError."""
         visits, lost = self._home.after_zeroing(recording)
         poses = self._one_load_sweep("tool", recording, visits)
         return self._put_together([], poses, [*recording.warnings, *lost])
 
     def still_poses(self, recording: Visits) -> tuple[list[RecordedPose], list[str]]:
-        """Return the poses of a sweep of one tool, and warnings; raises RecordingError.
+        """Return the poses of a sweep of one tool, and warnings; raises GalenError.
 
         Whether one load explains them is not asked: a cable's pull comes and goes with the pose.
         """
@@ -208,9 +208,9 @@ class SweepSorter:
             border = self._border(visits, good)
         except IdentificationError as error:
             faults = "".join(f"; {text}" for text in [*self._faults(visits).values()][-1:])
-            raise RecordingError(f"{recording.path}: {error}{faults}") from error
+            raise GalenError(f"{recording.path}: {error}{faults}") from error
         if not border.changes:
-            raise RecordingError(
+            raise GalenError(
                 f"{recording.path}: one load explains all {len(good)} still poses, and two don't do"
                 f" it clearly better (the residual of one is {border.ratio:.2f} times as large):"
                 " no tool came on. If it is a recording of the tool's sweep alone, say"
@@ -221,7 +221,7 @@ class SweepSorter:
                 recording.time_s(visits[good[k]].start_ns)
                 for k in (border.index, border.next_index)
             )
-            raise RecordingError(
+            raise GalenError(
                 f"{recording.path}: the tool came on before the pose at {times[0]:.1f} s or before"
                 f" that at {times[1]:.1f} s; the poses fit either"
                 f" ({border.next_worse:.1f} standard deviations apart): {_AT_HAND}"
@@ -235,14 +235,14 @@ class SweepSorter:
         return find_border(arm.gravity_in_sensor(angles), wrench, std_of_mean, at_home)
 
     def _check_one_load(self, recording: Visits, visits: list[Visit]) -> None:
-        """Raise RecordingError where a load came or went between the poses."""
+        """Raise GalenError where a load came or went between the poses."""
         good = self._still(visits)
         if len(good) < 2 * MIN_POSES:
             return
         border = self._border(visits, good)
         if border.changes and border.clear:
             at_s = recording.time_s(visits[good[border.index]].start_ns)
-            raise RecordingError(
+            raise GalenError(
                 f"{recording.path}: the load is another from {at_s:.1f} s on (one load leaves a"
                 f" residual {border.ratio:.0f} times as large as two): what should be one sweep is"
                 " not one"
@@ -276,7 +276,7 @@ class SweepSorter:
     def _judge(self, name: str, recording: Visits, visits: list[Visit]) -> list[RecordedPose]:
         """Return the sweep's poses, one visited again under its old number.
 
-        Raises RecordingError.
+        Raises GalenError.
         """
         faults = self._faults(visits)
         tolerance = 2.0 * self._settings.arm.angles(self._settings.arrival.position_tolerance)
@@ -292,7 +292,7 @@ class SweepSorter:
             poses.append(RecordedPose(name, number, time_s, visit, faults.get(k, "")))
         if len(_recorded(poses)) < self._settings.min_pose_fraction * len(seen) or not seen:
             last = [pose.fault for pose in poses if pose.fault][-1:] or ["nothing was still"]
-            raise RecordingError(
+            raise GalenError(
                 f"{recording.path}: only {len(_recorded(poses))} of {len(seen)} poses of the {name}"
                 f" sweep can be used; {last[0]}"
             )

@@ -30,10 +30,6 @@ _LEAD_NS = NS // 2
 _LAG_NS = NS
 
 
-class RecordingError(GalenError):
-    """A recording that no calibration can be made from; the message says why, and what may help."""
-
-
 @dataclass(frozen=True)
 class Level:
     """Mean reading (6,) over one average's length, N and N.m, and its std for white noise."""
@@ -86,7 +82,7 @@ def find_visits(
     """Average and judge every still phase.
 
     An average begins when the arm has settled and is as long as a live one. `progress` wraps the
-    phases while they are worked through. Raises RecordingError for a recording in which nothing is
+    phases while they are worked through. Raises GalenError for a recording in which nothing is
     still, or that does not hold what it must.
     """
     _check_frames(recording, settings)
@@ -110,7 +106,7 @@ def find_visits(
             visits.append(visit)
     if not visits:
         needed_s = settings.arrival.settle_s + settings.average_s
-        raise RecordingError(
+        raise GalenError(
             f"{recording.path}: the arm never stands still for the {needed_s:g} s that settling and"
             f" averaging take ({len(phases)} shorter stops)"
         )
@@ -155,7 +151,7 @@ class _Player:
         try:
             self._play(recorder, first, last)
         except StampsError as error:
-            raise RecordingError(f"{recording.path}: {error}") from error
+            raise GalenError(f"{recording.path}: {error}") from error
         window_ns, outcome = recorder.window_ns, recorder.result
         if window_ns is None or (window_ns[1] > end_ns and not isinstance(outcome, PoseRecord)):
             return None
@@ -220,17 +216,17 @@ class _Player:
 
 
 def _check_frames(recording: ArmRecording, settings: CalibrationParameters) -> None:
-    """Raise RecordingError for readings in another frame, or topics of two clocks."""
+    """Raise GalenError for readings in another frame, or topics of two clocks."""
     wrong = [frame for frame in recording.frame_ids if frame != settings.arm.sensor_frame]
     if wrong:
-        raise RecordingError(
+        raise GalenError(
             f"{recording.path}: wrench_raw has frame_id {wrong[0]!r};"
             f" it must be {settings.arm.sensor_frame!r}"
         )
     both = (recording.joint_stamp_ns, recording.wrench_stamp_ns)
     apart_ns = max(int(s.min()) for s in both) - min(int(s.max()) for s in both)
     if apart_ns > 0:
-        raise RecordingError(
+        raise GalenError(
             f"{recording.path}: the stamps of joint_states and wrench_raw lie {apart_ns / NS:.3f} s"
             " apart: they must come from one clock"
         )
@@ -247,7 +243,7 @@ def _stamp_warnings(recording: ArmRecording, settings: CalibrationParameters) ->
             for stamp_ns in stamps.tolist():
                 clock.advance(stamp_ns)
         except StampsError as error:
-            raise RecordingError(f"{recording.path}: {error}") from error
+            raise GalenError(f"{recording.path}: {error}") from error
         if clock.jumps:
             warnings.append(f"time stamps jumped {clock.jumps} times; the last: {clock.last_jump}")
     return warnings

@@ -16,8 +16,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from galen_bags.arrays.tables import MotionTable, OrientationTable, TableError, moving
+from galen_bags.arrays.tables import MotionTable, OrientationTable, moving
 from galen_model.arrays import Array
+from galen_model.errors import GalenError
 from galen_model.load.identification import plain_least_squares
 from galen_model.load.inertia import ImuFit, fit_imu
 from galen_model.load.model import gravity_regressor
@@ -50,7 +51,7 @@ class ImuRunScore:
 def score_imu_run(still: OrientationTable, specific: Array, run: MotionTable) -> ImuRunScore:
     """Calibrate on still poses, score on the run.
 
-    specific (n, 3): the IMU's readings in the still poses, m/s^2. Raises TableError,
+    specific (n, 3): the IMU's readings in the still poses, m/s^2. Raises GalenError,
     IdentificationError.
     """
     imu = fit_imu(still.gravity, specific)
@@ -64,14 +65,14 @@ def score_imu_run(still: OrientationTable, specific: Array, run: MotionTable) ->
     inside = (run.wrench_s > first) & (run.wrench_s < last)
     time_s, wrench = run.wrench_s[inside], run.wrench[inside]
     if len(time_s) < _FEWEST:
-        raise TableError(
+        raise GalenError(
             f"wrench, IMU and orientations lie together in fewer than {_FEWEST} readings"
         )
     gravity = CubicSpline(run.gravity_s, run.gravity)
     at = CubicSpline(run.imu_s, felt)
     in_motion = moving(time_s, gravity)
     if np.count_nonzero(~in_motion) < _FEWEST_REST or np.count_nonzero(in_motion) < _FEWEST:
-        raise TableError("the run must hold motion, and rest to tare in")
+        raise GalenError("the run must hold motion, and rest to tare in")
 
     def left(lag_s: float) -> Array:
         return np.asarray(wrench - gravity_regressor(at(time_s + lag_s)) @ moments - offset)
@@ -96,7 +97,7 @@ def _best_lag(left: Callable[[float], Array], rows: np.ndarray, moments: Array) 
     costs = [float(np.sum((left(lag)[rows] * scale) ** 2)) for lag in _LAGS_S]
     best = int(np.argmin(costs))
     if best in (0, len(costs) - 1):
-        raise TableError(
+        raise GalenError(
             f"the IMU's clock is off by more than {1e3 * _LAGS_S[-1]:.0f} ms against the wrench's,"
             " or it is not the same motion"
         )

@@ -18,10 +18,6 @@ from galen_model.errors import GalenError
 MAX_URDF_BYTES = 10_000_000
 
 
-class DescriptionError(GalenError):
-    """A robot description that gives no arm; the message names the frame or the joint."""
-
-
 def read_arm(
     text: str,
     *,
@@ -32,28 +28,28 @@ def read_arm(
     """Return the arm between two frames of a URDF.
 
     base_frame: empty for the root link. gravity_m_s2: (3,) in base_frame, None for standard gravity
-    along its -z. Raises DescriptionError for text that is no URDF, or is larger than 10 MB, for
+    along its -z. Raises GalenError for text that is no URDF, or is larger than 10 MB, for
     frames that it lacks, and for a chain without a movable joint.
     """
     if len(text) > MAX_URDF_BYTES:
-        raise DescriptionError(
+        raise GalenError(
             f"the robot description has {len(text)} characters; at most {MAX_URDF_BYTES} are read"
         )
     try:
         root = ElementTree.fromstring(text)
         model = pinocchio.buildModelFromXML(text)
     except (ElementTree.ParseError, ValueError) as error:
-        raise DescriptionError(f"the robot description is not a URDF: {error}") from error
+        raise GalenError(f"the robot description is not a URDF: {error}") from error
     base_frame = base_frame or _root_link(root)
     base, sensor = (_frame(model, name) for name in (base_frame, sensor_frame))
     chain = _chain(model, base.parentJoint, sensor.parentJoint)
     if chain is None:
-        raise DescriptionError(
+        raise GalenError(
             f"the frame '{sensor_frame}' is not carried by '{base_frame}': it hangs on another"
             " branch of the robot"
         )
     if not chain:
-        raise DescriptionError(f"no movable joint lies between '{base_frame}' and '{sensor_frame}'")
+        raise GalenError(f"no movable joint lies between '{base_frame}' and '{sensor_frame}'")
     before = base.placement.inverse()
     joints = []
     data = model.createData()
@@ -82,7 +78,7 @@ def _root_link(root: ElementTree.Element) -> str:
     for link in root.iter("link"):
         if link.get("name") not in children:
             return str(link.get("name"))
-    raise DescriptionError("the robot description has no root link")
+    raise GalenError("the robot description has no root link")
 
 
 def _child_links(root: ElementTree.Element) -> dict[str, str]:
@@ -98,7 +94,7 @@ def _check_independent(root: ElementTree.Element, names: list[str]) -> None:
     for joint in root.iter("joint"):
         mimic = joint.find("mimic")
         if mimic is not None and joint.get("name") in names:
-            raise DescriptionError(
+            raise GalenError(
                 f"joint '{joint.get('name')}' follows {mimic.get('joint')} (mimic), which is not"
                 " supported between base and sensor"
             )
@@ -108,7 +104,7 @@ def _frame(model: pinocchio.Model, name: str) -> pinocchio.Frame:
     if not model.existFrame(name, pinocchio.FrameType.BODY):
         known = [frame.name for frame in model.frames if frame.type == pinocchio.FrameType.BODY]
         listed = ", ".join(known[:40]) + (" ..." if len(known) > 40 else "")
-        raise DescriptionError(f"the robot has no frame '{name}'; its frames are {listed}")
+        raise GalenError(f"the robot has no frame '{name}'; its frames are {listed}")
     return model.frames[model.getFrameId(name, pinocchio.FrameType.BODY)]
 
 
@@ -132,7 +128,7 @@ def _joint(
 ) -> Joint:
     name, joint = model.names[index], model.joints[index]
     if joint.nv != 1:
-        raise DescriptionError(
+        raise GalenError(
             f"joint '{name}' has {joint.nv} degrees of freedom; revolute, continuous and prismatic"
             " joints are supported"
         )

@@ -24,10 +24,6 @@ from galen_model.poses.design import PoseDesign, PoseDesignError, angle_grid
 from galen_model.poses.order import SweepTimes, order_poses
 
 
-class GridError(GalenError):
-    """A grid that the arm can't visit; the message names the joint and the value."""
-
-
 @dataclass(frozen=True)
 class SweepGrid:
     """Start, end (both included, rad) and count of tilts and rolls; names as in the report."""
@@ -46,7 +42,7 @@ class SweepGrid:
         The order is a serpentine: the inner joint goes there and back while the outer one steps
         on, so that no move is longer than one step of the grid. Travel is
         outer range + outer count * inner range; the cheaper of both orders is taken.
-        Raises GridError for a count below 1, a value that is not finite or outside the limits.
+        Raises GalenError for a count below 1, a value that is not finite or outside the limits.
         """
         rolls = _axis("roll", "r", self.rstart, self.rend, self.itersR, lower[0], upper[0])
         tilts = _axis("tilt", "t", self.tstart, self.tend, self.itersT, lower[1], upper[1])
@@ -61,17 +57,17 @@ def _axis(
     joint: str, letter: str, start: float, end: float, count: int, lower: float, upper: float
 ) -> Array:
     if count < 1:
-        raise GridError(f"iters{letter.upper()} is {count}: a sweep needs at least 1 {joint}")
+        raise GalenError(f"iters{letter.upper()} is {count}: a sweep needs at least 1 {joint}")
     for name, value in ((f"{letter}start", start), (f"{letter}end", end)):
         if not np.isfinite(value):
-            raise GridError(f"{name} of joint {joint} is {value}: not a finite angle")
+            raise GalenError(f"{name} of joint {joint} is {value}: not a finite angle")
         if not lower <= value <= upper:
-            raise GridError(
+            raise GalenError(
                 f"{name} = {value:g} rad is outside the limits of joint {joint},"
                 f" {lower:g} ... {upper:g} rad"
             )
     if count > 1 and start == end:
-        raise GridError(
+        raise GalenError(
             f"{letter}start and {letter}end of joint {joint} are both {start:g} rad:"
             f" iters{letter.upper()} = {count} poses would be one and the same"
         )
