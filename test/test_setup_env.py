@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "scripts"))
 
 from ros2_run import NotFoundError, find_executable  # noqa: E402
-from workspace import build, environment, interpreter, machine  # noqa: E402
+from workspace import build, environment, machine  # noqa: E402
 from workspace.environment import (  # noqa: E402
     Environment,
     explain_pip,
@@ -90,8 +90,8 @@ def assert_one_line_error(done, *words):
 @pytest.fixture
 def no_running_python(monkeypatch):
     """The Python that runs the tests, and the machine's own, are not among the candidates."""
-    monkeypatch.setattr(interpreter.sys, "base_prefix", "/nonexistent")
-    monkeypatch.setattr(interpreter, "DEBIAN_PYTHON", "/nonexistent/python3")
+    monkeypatch.setattr(machine.sys, "base_prefix", "/nonexistent")
+    monkeypatch.setattr(machine, "DEBIAN_PYTHON", "/nonexistent/python3")
 
 
 # ---- which ROS
@@ -100,13 +100,13 @@ def no_running_python(monkeypatch):
 def test_a_sourced_jazzy_is_found_behind_an_overlay(tmp_path):
     prefix = ros_prefix(tmp_path / "jazzy")
     environ = sourced(f"{tmp_path / 'overlay'}:{prefix}")
-    assert interpreter.find_ros(environ) == interpreter.Ros(prefix, "3.12")
+    assert machine.find_ros(environ) == machine.Ros(prefix, "3.12")
 
 
 @pytest.mark.parametrize("distro", ["humble", "kilted", "rolling"])
 def test_another_distribution_is_rejected_by_name(tmp_path, distro):
     with pytest.raises(SetupError, match=f"'{distro}' is sourced.*'jazzy'"):
-        interpreter.find_ros(sourced(ros_prefix(tmp_path), distro))
+        machine.find_ros(sourced(ros_prefix(tmp_path), distro))
 
 
 # ---- which Python
@@ -116,7 +116,7 @@ def test_the_first_supported_python_on_path_is_taken(tmp_path, no_running_python
     fake_python(tmp_path / "old" / "python3", "3.9")
     fake_python(tmp_path / "new" / "python3.11", "3.11")
     environ = {"PATH": f"{tmp_path / 'old'}:{tmp_path / 'new'}", "HOME": str(tmp_path)}
-    assert interpreter.choose(environ, None).path == str(tmp_path / "new" / "python3.11")
+    assert machine.choose(environ, None).path == str(tmp_path / "new" / "python3.11")
 
 
 def test_pyenv_is_searched_and_what_does_not_fit_is_passed_over(tmp_path, no_running_python):
@@ -125,7 +125,7 @@ def test_pyenv_is_searched_and_what_does_not_fit_is_passed_over(tmp_path, no_run
     (tmp_path / "env" / "pyvenv.cfg").touch()
     script(tmp_path / "broken" / "python3.12", "exit 1\n")
     environ = {"PATH": f"{tmp_path / 'env' / 'bin'}:{tmp_path / 'broken'}", "HOME": str(tmp_path)}
-    assert ".pyenv" in interpreter.choose(environ, None).path
+    assert ".pyenv" in machine.choose(environ, None).path
 
 
 @pytest.mark.parametrize(
@@ -142,7 +142,7 @@ def test_a_python_that_lacks_a_part_is_told_with_the_remedy(
     fake_python(tmp_path / "python3.12", "3.12", **lack)
     environ = {"PATH": str(tmp_path), "HOME": str(tmp_path)}
     with pytest.raises(SetupError, match=word):
-        interpreter.choose(environ, None)
+        machine.choose(environ, None)
 
 
 @pytest.mark.parametrize(
@@ -153,15 +153,15 @@ def test_an_unfit_galen_python_is_rejected(tmp_path, version, word):
     if version:
         fake_python(named, version)
     with pytest.raises(SetupError, match=word):
-        interpreter.choose({"GALEN_PYTHON": str(named)}, None)
+        machine.choose({"GALEN_PYTHON": str(named)}, None)
 
 
 def test_with_ros_only_its_own_version_is_taken(tmp_path, no_running_python):
-    found = interpreter.Ros(ros_prefix(tmp_path / "jazzy"), "3.12")
+    found = machine.Ros(ros_prefix(tmp_path / "jazzy"), "3.12")
     fake_python(tmp_path / "python3", "3.11")
     fake_python(tmp_path / "jazzy" / "bin" / "python3", "3.12")
     environ = {"PATH": str(tmp_path), "HOME": str(tmp_path)}
-    assert interpreter.choose(environ, found).path == str(tmp_path / "jazzy" / "bin" / "python3")
+    assert machine.choose(environ, found).path == str(tmp_path / "jazzy" / "bin" / "python3")
 
 
 # ---- what has to be on the machine
@@ -224,7 +224,7 @@ PINS = {
 
 
 def test_with_ros_what_it_brings_stays():
-    found = interpreter.Ros(Path("/opt/ros/jazzy"), "3.12")
+    found = machine.Ros(Path("/opt/ros/jazzy"), "3.12")
     installed = {"numpy": "1.26.4", "PyYAML": "6.0.1", "setuptools": "68.1.2", "pytest": "7.4.4"}
     wanted = to_install(PINS, installed, found)
     assert wanted == {"pin": "4.1.0", "pytest": "9.2.0", "colcon-core": "0.21.3"}
@@ -283,7 +283,7 @@ def ready(tmp_path):
     found = Environment(root, {"PATH": os.defpath})
     script(found.python, "")
     (found.path / "pyvenv.cfg").touch()
-    found._write_stamp(interpreter.Interpreter("python3", "3.12", "cpython", True, True))
+    found._write_stamp(machine.Interpreter("python3", "3.12", "cpython", True, True))
     return found
 
 

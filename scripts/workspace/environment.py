@@ -13,8 +13,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from . import machine
-from .interpreter import Interpreter, Ros, choose, find_ros
-from .machine import SetupError
+from .machine import Interpreter, Ros, SetupError, choose, find_ros
 
 LAYOUT = 1  # raise it when an environment made by older code is no longer good
 RCLPY_VERSION = "7.1.6"  # Jazzy's; a later one is another distribution
