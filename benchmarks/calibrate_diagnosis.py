@@ -26,10 +26,10 @@ from galen_diagnosis.answer.answer import NONE
 from galen_diagnosis.blind.case import Case, generate
 from galen_diagnosis.blind.causes import EFFECTS, PAIRS
 from galen_diagnosis.blind.unlisted import CALIBRATION_UNKNOWN
-from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.inference.diagnosing import explore
 from galen_diagnosis.inference.posterior import Probabilities, Scored, Settings, posterior
 from galen_diagnosis.observation.recording import read_recording
+from galen_model.errors import GalenError
 from galen_model.files.atomic_file import write_whole
 from galen_ros.command import EXIT_OK, run_command
 from scipy.optimize import minimize
@@ -236,13 +236,13 @@ def _run(given: argparse.Namespace) -> int:
             if not path.exists():
                 try:
                     content = collect(case)
-                except DiagnosisError as error:
+                except GalenError as error:
                     print(f"{case}: {error}", file=sys.stderr)
                     continue
                 write_whole(path, json.dumps(content))
     files = sorted(given.cases.glob("*.json"))
     if not files:
-        raise DiagnosisError(f"{given.cases}: no cases to calibrate on")
+        raise GalenError(f"{given.cases}: no cases to calibrate on")
     cases = [known(json.loads(path.read_text(encoding="utf-8"))) for path in files]
     halves = cases[0::2], cases[1::2]
     start = Settings()

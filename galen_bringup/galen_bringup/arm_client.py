@@ -29,13 +29,7 @@ from galen_msgs.srv import SetTool
 MAX_VELOCITY = np.array([0.15, 0.15, 0.15, 1.4, 1.4])
 MAX_ACCELERATION = np.array([0.9, 0.9, 0.9, 5.5, 5.5])
 """m/s, rad/s and per s: a little below the simulated arm's own limits."""
-
-
 _CHECK_EVERY_S = 0.2
-
-
-class ArmError(GalenError):
-    """The arm, or a node, did not do what was asked."""
 
 
 JointListener = Callable[[int, Array, Array | None], None]
@@ -94,7 +88,7 @@ class ArmClient(Node):
         self._executor.shutdown()
 
     def wait_for(self, predicate: Callable[[], Any], timeout_s: float, what: str) -> None:
-        """Spin until the predicate holds; raises ArmError naming `what` after timeout_s of wall."""
+        """Spin until the predicate holds; raises GalenError naming `what` after timeout_s."""
         now = time.monotonic()
         deadline, next_check = now + timeout_s, now
         while not predicate():
@@ -104,7 +98,7 @@ class ArmClient(Node):
                 self._check()
                 next_check = now + _CHECK_EVERY_S
             if now > deadline:
-                raise ArmError(f"waited {timeout_s:g} s in vain for {what}")
+                raise GalenError(f"waited {timeout_s:g} s in vain for {what}")
 
     def wait_until_up(self, timeout_s: float = 30.0) -> None:
         """Wait for the streams and services of driver and gravcomp."""
@@ -119,7 +113,7 @@ class ArmClient(Node):
     def move_to(self, target: Array) -> float:
         """Send a smooth move from here to joints (5,), m and rad; returns its duration, s."""
         if self.position is None:
-            raise ArmError("where the arm is, is not known: no joint_states yet")
+            raise GalenError("where the arm is, is not known: no joint_states yet")
         duration_s = quintic_duration_s(target - self.position, MAX_VELOCITY, MAX_ACCELERATION)
         self.follow([target], [duration_s])
         return duration_s
@@ -140,17 +134,17 @@ class ArmClient(Node):
         self._trajectory.publish(message)
 
     def set_tool(self, tool: str) -> SetTool.Response:
-        """Make gravcomp load a calibration file; raises ArmError with its reason."""
+        """Make gravcomp load a calibration file; raises GalenError with its reason."""
         response = self._call(self._set_tool, SetTool.Request(tool=tool))
         if not response.success:
-            raise ArmError(f"gravcomp: {response.error_msg}")
+            raise GalenError(f"gravcomp: {response.error_msg}")
         return response
 
     def zero_ft_sensor(self) -> None:
-        """Zero the sensor here; raises ArmError with the driver's reason."""
+        """Zero the sensor here; raises GalenError with the driver's reason."""
         response = self._call(self._zero_ft_sensor, Trigger.Request())
         if not response.success:
-            raise ArmError(f"zero_ft_sensor: {response.message}")
+            raise GalenError(f"zero_ft_sensor: {response.message}")
 
     def set_admittance(self, on: bool, source: str) -> None:
         """Switch the driver's admittance mode; `source` is "compensated" or "raw"."""
@@ -159,10 +153,10 @@ class ArmClient(Node):
         self.wait_for(future.done, 10.0, "sim_driver to take a parameter")
         result = future.result().results[0]
         if not result.successful:
-            raise ArmError(f"sim_driver: admittance_source: {result.reason}")
+            raise GalenError(f"sim_driver: admittance_source: {result.reason}")
         response = self._call(self._set_admittance, SetBool.Request(data=on))
         if not response.success:
-            raise ArmError(f"sim_driver: {response.message}")
+            raise GalenError(f"sim_driver: {response.message}")
 
     def _call(self, client: Any, request: Any) -> Any:
         future = client.call_async(request)

@@ -13,12 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
+from galen_model.errors import GalenError
 from galen_model.rest.pose import PoseRecord, StillnessSettings
 from galen_model.rotation import matrix_to_rotvec
 from galen_ros.goal.arrival import ArrivalSettings, MotionTimeoutError, PoseRecorder
 from rich.progress import Progress
 
-from galen_bringup.arm_client import MAX_ACCELERATION, MAX_VELOCITY, ArmClient, ArmError
+from galen_bringup.arm_client import MAX_ACCELERATION, MAX_VELOCITY, ArmClient
 
 _ARRIVAL = ArrivalSettings(
     position_tolerance=np.array([5e-4] * 3 + [3e-3] * 2),
@@ -88,7 +89,7 @@ def visit(
 ) -> PoseReadings:
     """Go to each of poses (n, 5), wait until the arm stands there, average both wrenches.
 
-    A pose that was not still, or had no compensated wrench, is skipped and named. Raises ArmError
+    A pose that was not still, or had no compensated wrench, is skipped and named. Raises GalenError
     when the arm does not get somewhere.
     """
     joints, raw, compensated, stds, samples, skipped = [], [], [], [], [], []
@@ -112,7 +113,7 @@ def visit(
             stds.append(one_raw.wrench_std)
             samples.append(one_raw.samples)
     if not joints:
-        raise ArmError(f"no pose was still: {skipped[0]}")
+        raise GalenError(f"no pose was still: {skipped[0]}")
     return PoseReadings(
         joints=np.array(joints),
         raw=np.array(raw),
@@ -150,7 +151,7 @@ def _visit_one(
     finally:
         arm.on_joints = arm.on_raw = arm.on_compensated = None
     if failure:
-        raise ArmError(failure[0])
+        raise GalenError(failure[0])
     raw, compensated = (recorder.result for recorder in recorders)
     if isinstance(raw, PoseRecord) and isinstance(compensated, PoseRecord):
         return raw, compensated
@@ -203,7 +204,7 @@ def _run(arm: ArmClient, mode: str) -> tuple[Array, Array]:
         time, joints = _follow(arm, None if mode == "off" else mode)
         if len(time) > 1 and np.diff(time).max() < _LARGEST_GAP_S:
             return time, joints
-    raise ArmError("joint_states lost samples in three runs: this machine needs a lower speed")
+    raise GalenError("joint_states lost samples in three runs: this machine needs a lower speed")
 
 
 def _go_home(arm: ArmClient) -> None:

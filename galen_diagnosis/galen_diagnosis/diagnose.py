@@ -22,6 +22,7 @@ from galen_bags.arrays.tables import ORIENTATIONS, read_table, read_text_table
 from galen_bags.many import run_many
 from galen_model.arm.galen import GALEN, WRENCH_AXES
 from galen_model.arrays import Array
+from galen_model.errors import GalenError
 from galen_model.evidence.held_out import BlockRows, Effects
 from galen_model.files.calibration_file import read_calibration
 from galen_model.transmission import time_blocks, whole_runs
@@ -43,7 +44,6 @@ from galen_sim_driver.effects.effect import ConfigError
 from rich.console import Console
 
 from galen_diagnosis.answer.answer import Answer, Diagnosis
-from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.experiment.next_experiment import write_sweep
 from galen_diagnosis.inference.diagnosing import diagnose_recording
 from galen_diagnosis.observation.recording import read_recording
@@ -204,7 +204,7 @@ def _add_table_options(parser: argparse.ArgumentParser) -> None:
 
 
 def output_folders(inputs: Sequence[Path], output: Path | None) -> dict[Path, Path]:
-    """Return each input's directory; raises DiagnosisError where two would go to one."""
+    """Return each input's directory; raises GalenError where two would go to one."""
     folders: dict[Path, Path] = {}
     for path in inputs:
         name = f"diagnosis_{_name(path)}"
@@ -213,7 +213,7 @@ def output_folders(inputs: Sequence[Path], output: Path | None) -> dict[Path, Pa
         else:
             folder = output if len(inputs) == 1 else output / name
         if folder in folders.values() or path in folders:
-            raise DiagnosisError(
+            raise GalenError(
                 f"{path}: {folder} would be written twice; diagnose inputs of the same name one by"
                 " one, with --output"
             )

@@ -30,6 +30,7 @@ from galen_bags.arrays.arm_recording import JOINT_STATE_TYPE, POSE_TYPE, WRENCH_
 from galen_bags.formats.writer import BagWriter
 from galen_model.arm.galen import GALEN, SENSOR, TRACKER_FRAME
 from galen_model.arrays import Array
+from galen_model.errors import GalenError
 from galen_model.files.calibration_file import CalibrationFile, LoadEstimate, write_calibration
 from galen_model.load.model import Load
 from galen_model.poses.order import quintic_duration_s
@@ -38,13 +39,10 @@ from galen_ros.command import EXIT_OK, make_parser, run_command, writing
 from galen_sim_driver.effects.effect import BAG_ORDER, Effect
 from galen_sim_driver.effects.joints import JointGain
 from galen_sim_driver.effects.registry import contract_parameters
-from galen_sim_driver.effects.sensor import BiasStep, SensorDrift
-from galen_sim_driver.effects.tracker import BaseShift
+from galen_sim_driver.effects.sensor import BaseShift, BiasStep, SensorDrift
 from galen_sim_driver.plant.cell import Plant, Sample
 from galen_sim_driver.plant.config import HandPush, PlantConfig
 from galen_sim_driver.plant.motion import Trajectory, TrajectoryPoint
-
-from galen_diagnosis.errors import DiagnosisError
 
 _ARM = GALEN
 RATE_HZ = 200.0
@@ -106,16 +104,16 @@ def make_recording(
         truth: with truth.json beside it.
 
     Raises:
-        DiagnosisError: the directory exists or can't be made; a bag or tool that isn't known.
+        GalenError: the directory exists or can't be made; a bag or tool that isn't known.
         ConfigError: an effect's numbers can't be.
 
     """
     target = Path(directory)
     if target.exists() or target.is_symlink():
-        raise DiagnosisError(f"{target}: is there already, and is not written over")
+        raise GalenError(f"{target}: is there already, and is not written over")
     unknown = [name for name in bags if name not in BAG_ORDER]
     if unknown:
-        raise DiagnosisError(f"no bag '{unknown[0]}'; a recording has {', '.join(BAG_ORDER)}")
+        raise GalenError(f"no bag '{unknown[0]}'; a recording has {', '.join(BAG_ORDER)}")
     with writing(target):
         target.parent.mkdir(parents=True, exist_ok=True)
         work = Path(tempfile.mkdtemp(dir=target.parent, prefix=f".{target.name}."))
@@ -158,7 +156,7 @@ class _Session:
         self._plant = Plant(config, np.random.default_rng([seed, 2]))
         attached = self._plant.attach_tool(tool)
         if attached is None:
-            raise DiagnosisError("a recording needs a tool on the arm")
+            raise GalenError("a recording needs a tool on the arm")
         self._tool_file = _believed(tool, attached.load, config.adapter, attached.tip_m)
 
     def record(self, bags: Sequence[str]) -> None:

@@ -13,7 +13,6 @@ from galen_diagnosis.blind.causes import EFFECTS
 from galen_diagnosis.blind.labels import (
     Label,
     ParsedAnswer,
-    SealError,
     opened,
     private_directory,
     sealed,
@@ -22,6 +21,7 @@ from galen_diagnosis.blind.labels import (
 from galen_diagnosis.blind.making import CALIBRATION, TEST, full_plan, make_all, short_plan
 from galen_diagnosis.blind.score import Answered, score
 from galen_diagnosis.blind.unlisted import CALIBRATION_UNKNOWN, TEST_UNKNOWN
+from galen_model.errors import GalenError
 
 from galen_diagnosis import blind_check
 
@@ -170,13 +170,13 @@ def test_a_changed_label_or_recording_does_not_open(tmp_path):
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
     whole = path.read_text()
     write_sealed(path, whole.replace('"none"', '"gain"', 1))
-    with pytest.raises(SealError, match="isn't what was sealed"):
+    with pytest.raises(GalenError, match="isn't what was sealed"):
         open_labels(places, told)
     write_sealed(path, whole)
     recording = next(places.recordings.iterdir())
     before = (recording / "tool.json").read_text()
     (recording / "tool.json").write_text(before + " ")
-    with pytest.raises(SealError, match=recording.name):
+    with pytest.raises(GalenError, match=recording.name):
         open_labels(places, told)
     assert not places.labels.exists()
     (recording / "tool.json").write_text(before)

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from diagnosis_example import example_diagnosis
 from galen_bags.formats.writer import BagWriter
-from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.observation.recording import DiagnosticRecording
 from galen_diagnosis.report import report
 from galen_model.arm.galen import GALEN
+from galen_model.errors import GalenError
 from galen_ros.cdr import joint_state_bytes, wrench_bytes
 from matplotlib import pyplot as plt
 
@@ -36,7 +36,7 @@ def recordings(monkeypatch, tmp_path):
 
     def read(path, tool=None):
         if path.name.startswith("broken"):
-            raise DiagnosisError(f"{path}: no directory with a recording")
+            raise GalenError(f"{path}: no directory with a recording")
         return DiagnosticRecording(path.name, tool, {}, (), ())
 
     def diagnosed(recording, progress=None):

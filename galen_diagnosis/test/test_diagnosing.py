@@ -7,12 +7,12 @@ import pytest
 from galen_diagnosis.answer.gap import closed_fraction
 from galen_diagnosis.effects.candidates import candidates
 from galen_diagnosis.effects.scans import crosstalk_candidates
-from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.inference.diagnosing import _cannot_tell, diagnose_recording
 from galen_diagnosis.observation.observation import Observation, Unknowns
 from galen_diagnosis.observation.recording import read_recording
 from galen_diagnosis.observation.rows import CHANNELS, FOLDS
 from galen_diagnosis.simulated_recording import make_recording, sweep_poses
+from galen_model.errors import GalenError
 from galen_sim_driver.effects.joints import JointZeroOffset
 
 SWEEP_ONLY = ("sweep",)
@@ -38,10 +38,10 @@ def test_a_healthy_arms_rows_are_white_with_unit_variance(healthy):
 def test_a_recording_too_short_to_hold_anything_out_is_an_error(healthy):
     whole = healthy.recording.bags["sweep"]
     few = replace(whole, wrench_s=whole.wrench_s[:60], wrenches=whole.wrenches[:60])
-    with pytest.raises(DiagnosisError, match="score a fit"):
+    with pytest.raises(GalenError, match="score a fit"):
         Observation(replace(healthy.recording, bags={"sweep": few}))
     slow = replace(whole, wrench_s=whole.wrench_s[::25], wrenches=whole.wrenches[::25])
-    with pytest.raises(DiagnosisError, match="noise"):
+    with pytest.raises(GalenError, match="noise"):
         Observation(replace(healthy.recording, bags={"sweep": slow}))
 
 

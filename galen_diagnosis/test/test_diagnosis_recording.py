@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from galen_bags.arrays.arm_recording import ArmRecording
-from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.observation.recording import _REACH_S, _Arm, read_recording
 from galen_diagnosis.simulated_recording import make_recording, sweep_poses
 from galen_model.errors import GalenError
@@ -41,7 +40,7 @@ def test_a_recording_has_its_directorys_name_also_from_within(made, monkeypatch)
 
 @pytest.mark.parametrize("within", ["", "sweep.mcap"])
 def test_a_bag_is_no_recording_and_told_which_command_takes_it(made, within):
-    with pytest.raises(DiagnosisError, match="sweep") as error:
+    with pytest.raises(GalenError, match="sweep") as error:
         read_recording(made / "sweep" / within)
     assert "is a bag, and a recording is a directory with the bags sweep, motion" in str(
         error.value
@@ -50,7 +49,7 @@ def test_a_bag_is_no_recording_and_told_which_command_takes_it(made, within):
 
 
 def test_a_directory_without_bags_is_told_what_a_recording_is(tmp_path):
-    with pytest.raises(DiagnosisError, match=r"holds none of the bags sweep, .* tool\.json"):
+    with pytest.raises(GalenError, match=r"holds none of the bags sweep, .* tool\.json"):
         read_recording(tmp_path)
 
 
@@ -122,11 +121,11 @@ def test_a_dead_axis_is_a_problem(tmp_path):
 )
 def test_what_cant_be_used_is_an_error_that_names_the_bag(tmp_path, change, sentence):
     one = change(arm(tmp_path))
-    with pytest.raises(DiagnosisError, match=sentence) as error:
+    with pytest.raises(GalenError, match=sentence) as error:
         _Arm(tmp_path, one)
     assert str(tmp_path) in str(error.value)
 
 
 def test_slow_topics_are_an_error(tmp_path):
-    with pytest.raises(DiagnosisError, match="joint states at 10 Hz"):
+    with pytest.raises(GalenError, match="joint states at 10 Hz"):
         _Arm(tmp_path, arm(tmp_path, period_s=0.1))

@@ -8,7 +8,6 @@ import pytest
 import yaml
 from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_deflection.collection.plan import CollectionParameters
-from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.experiment.next_experiment import Proposal, proposals, propose, write_sweep
 from galen_diagnosis.experiment.separation import (
     Alternative,
@@ -26,6 +25,7 @@ from galen_diagnosis.experiment.trial import (
     still_trial,
 )
 from galen_model.arm.galen import GALEN
+from galen_model.errors import GalenError
 from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
 from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from galen_model.poses.design import angle_grid
@@ -258,6 +258,6 @@ def test_the_file_is_what_the_nodes_take(tmp_path, roll_experiment):
 def test_what_no_node_runs_is_not_written(tmp_path, roll_experiment):
     by_hand = replace(roll_experiment.proposal, kind="two speeds", program="none")
     found = replace(roll_experiment, proposal=by_hand)
-    with pytest.raises(DiagnosisError, match="do it by hand: with the tracker on"):
+    with pytest.raises(GalenError, match="do it by hand: with the tracker on"):
         write_sweep(found, tmp_path / "none.yaml")
     assert not list(tmp_path.iterdir())

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from galen_bags.formats.bag import open_bag
-from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.observation.recording import DiagnosticRecording, read_recording
 from galen_diagnosis.simulated_recording import main, make_recording, sweep_poses
 from galen_model.arm.galen import SENSOR, TRACKER_POSITION_NOISE_M
@@ -15,8 +14,7 @@ from galen_model.load.nominal_tools import TOOLS
 from galen_model.rotation import rotvec_to_matrix
 from galen_sim_driver.effects.joints import JointGain
 from galen_sim_driver.effects.load import InertialLoad
-from galen_sim_driver.effects.sensor import BiasStep, WrenchDelay
-from galen_sim_driver.effects.tracker import BaseShift, TrackerDelay
+from galen_sim_driver.effects.sensor import BaseShift, BiasStep, TrackerDelay, WrenchDelay
 from galen_sim_driver.plant.config import BASE_IN_TRACKER
 from galen_sim_driver.replay import Replay, Scene
 
@@ -91,7 +89,7 @@ def test_a_recording_that_cant_be_is_not_left_half(tmp_path, arguments, words):
 
 def test_what_is_there_is_not_written_over(tmp_path, capsys):
     (tmp_path / "made").mkdir()
-    with pytest.raises(DiagnosisError, match="made: is there already"):
+    with pytest.raises(GalenError, match="made: is there already"):
         make_recording(tmp_path / "made")
     assert main(["tilt", "--output", str(tmp_path / "made")]) == 1
     assert "is there already" in capsys.readouterr().err

@@ -27,14 +27,10 @@ _PING_S = 2.0
 _PONG_WITHIN_S = 4.0
 
 
-class ServerError(GalenError):
-    """The panel can't be served."""
-
-
 def serve(suite: RosSuite, options: Options, on_stop: Callable[[], None]) -> None:
     """Serve the panel until SIGINT or SIGTERM; at the end `on_stop` is called.
 
-    Raises ServerError where the address can't be had, or the certificate not be read.
+    Raises GalenError where the address can't be had, or the certificate not be read.
     """
     end_by_signals()
     _check_address(options)
@@ -112,7 +108,7 @@ def _check_address(options: Options) -> None:
             trial.bind(address)
     except OSError as error:
         wrong = "port" if error.errno in (errno.EADDRINUSE, errno.EACCES) else "host"
-        raise ServerError(
+        raise GalenError(
             f"can't listen at {options.host}, port {options.port}: {error.strerror or error};"
             f" choose another {wrong} by --{wrong}, in a launch by panel_{wrong}:="
         ) from error
@@ -123,7 +119,7 @@ def _check_output_dir(options: Options) -> None:
     try:
         check_folder(options.output_dir)
     except GalenError as error:
-        raise ServerError(f"{error}; choose another directory by --output-dir") from error
+        raise GalenError(f"{error}; choose another directory by --output-dir") from error
 
 
 def _check_certificate(options: Options) -> None:
@@ -135,4 +131,4 @@ def _check_certificate(options: Options) -> None:
             options.certificate, options.key, password=lambda: ""
         )
     except (OSError, ValueError) as error:
-        raise ServerError(f"can't use {options.certificate} with {options.key}: {error}") from error
+        raise GalenError(f"can't use {options.certificate} with {options.key}: {error}") from error

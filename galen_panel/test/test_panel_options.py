@@ -11,8 +11,9 @@ from contextlib import closing
 
 import pytest
 from fake_suite import FakeSuite
+from galen_model.errors import GalenError
 from galen_panel.options import read_options
-from galen_panel.server import ServerError, serve
+from galen_panel.server import serve
 from panel_processes import PanelWorld, free_port
 
 TOKEN = "a-token-of-24-characters"
@@ -31,7 +32,7 @@ def rejected():
     handlers = [signal.getsignal(number) for number in numbers]
 
     def reason(*arguments):
-        with pytest.raises(ServerError) as error:
+        with pytest.raises(GalenError) as error:
             serve(FakeSuite(), read_options(list(arguments), {}), lambda: None)
         return str(error.value)
 

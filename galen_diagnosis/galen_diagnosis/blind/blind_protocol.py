@@ -39,7 +39,6 @@ from galen_diagnosis.blind.diagnosing import ANSWER, BESIDE
 from galen_diagnosis.blind.labels import (
     Label,
     ParsedAnswer,
-    SealError,
     directory_sha256,
     forget,
     opened,
@@ -184,12 +183,12 @@ def open_labels(places: Places, published: str) -> tuple[Label, ...]:
     labels = opened(private / "labels.json", published)
     for label in labels:
         if directory_sha256(places.recordings / label.recording) != label.sha256:
-            raise SealError(f"{places.recordings / label.recording}: isn't what was sealed")
+            raise GalenError(f"{places.recordings / label.recording}: isn't what was sealed")
     try:
         write_whole(places.labels, (private / "labels.json").read_text(encoding="utf-8"))
         seed = read_json(private / "seed.json", 100, "a seed")
     except OSError as error:
-        raise SealError(f"{places.labels}: can't be written: {error.strerror}") from error
+        raise GalenError(f"{places.labels}: can't be written: {error.strerror}") from error
     _write(places.plan, {**_read(places.plan), "seed": seed})
     forget(private)
     return labels

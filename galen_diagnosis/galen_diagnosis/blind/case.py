@@ -21,6 +21,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 from galen_model.arrays import Array
+from galen_model.errors import GalenError
 from galen_sim_driver.effects.effect import Effect, Instants, Loading
 from scipy.spatial.transform import Rotation
 
@@ -30,7 +31,6 @@ from galen_diagnosis.blind.measuring import Measurement, draw_tolerance, write_r
 from galen_diagnosis.blind.session import BAGS, draw_session
 from galen_diagnosis.blind.unlisted import CALIBRATION_UNKNOWN, TEST_UNKNOWN, UNLISTED
 from galen_diagnosis.effects.candidates import unknown_columns
-from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.inference.search import healthy_background
 from galen_diagnosis.observation.observation import Observation
 from galen_diagnosis.observation.recording import read_recording
@@ -82,10 +82,10 @@ class Truth:
 def generate(case: Case, directory: Path) -> Truth:
     """Write the case's recording into a new directory; returns what it hides.
 
-    Raises DiagnosisError.
+    Raises GalenError.
     """
     if directory.exists() and any(directory.iterdir()):
-        raise DiagnosisError(f"{directory}: is there already, and isn't empty")
+        raise GalenError(f"{directory}: is there already, and isn't empty")
     bags = tuple(b for b in case.bags if case.kind != "ambiguous" or b != "push")
     tolerance = draw_tolerance(case.seed, case.tolerance)
     healthy = Measurement(draw_session(case.seed, bags), tolerance)
@@ -257,5 +257,5 @@ def _drawn(rng: np.random.Generator, case: Case, healthy: Measurement) -> tuple[
         "ambiguous": tuple(TWINS),
     }
     if case.kind not in lists:
-        raise DiagnosisError(f"{case.kind!r} is no kind of case; there are {', '.join(KINDS)}")
+        raise GalenError(f"{case.kind!r} is no kind of case; there are {', '.join(KINDS)}")
     return (str(rng.choice(np.array(lists[case.kind]))),)

@@ -41,10 +41,6 @@ _SALT_BYTES = 32
 _EFFECTS = {"single": 1, "pair": 2, "ambiguous": 1, NONE: 0, UNKNOWN: 1}
 
 
-class SealError(GalenError):
-    """Labels that can't be kept, or aren't those that were sealed."""
-
-
 @dataclass(frozen=True)
 class Label:
     """The truth about one recording.
@@ -119,22 +115,22 @@ def private_directory(output: Path) -> Path:
     """Where the labels of this output are kept until they are opened; made with mode 0700.
 
     It lies in the user's state directory (XDG Base Directory Specification), under a name that is
-    always the same for one output, so that an interrupted check finds it again. Raises SealError.
+    always the same for one output, so that an interrupted check finds it again. Raises GalenError.
     """
     home = os.environ.get("XDG_STATE_HOME")
     state = Path(home) if home else Path.home() / ".local" / "state"
     name = hashlib.sha256(str(output.resolve()).encode()).hexdigest()[:16]
     folder = state.resolve() / "galen_blind_check" / name
     if folder.is_relative_to(output.resolve()):
-        raise SealError(f"{folder}: the labels would lie within {output}; set XDG_STATE_HOME")
+        raise GalenError(f"{folder}: the labels would lie within {output}; set XDG_STATE_HOME")
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         folder.chmod(0o700)
         found = folder.stat()
     except OSError as error:
-        raise SealError(f"{folder}: the labels can't be kept there: {error.strerror}") from error
+        raise GalenError(f"{folder}: the labels can't be kept there: {error.strerror}") from error
     if found.st_uid != os.geteuid() or stat.S_IMODE(found.st_mode) != 0o700:
-        raise SealError(f"{folder}: the labels can't be kept there: others may read it")
+        raise GalenError(f"{folder}: the labels can't be kept there: others may read it")
     return folder
 
 
@@ -163,7 +159,7 @@ def sha256(content: str) -> str:
 
 
 def directory_sha256(folder: Path) -> str:
-    """Of a directory's files, their names and contents, in hexadecimal; raises SealError."""
+    """Of a directory's files, their names and contents, in hexadecimal; raises GalenError."""
     whole = hashlib.sha256()
     try:
         for path in sorted(path for path in folder.rglob("*") if path.is_file()):
@@ -171,34 +167,34 @@ def directory_sha256(folder: Path) -> str:
                 content = hashlib.file_digest(stream, "sha256").hexdigest()
             whole.update(f"{path.relative_to(folder)}\0{content}\n".encode())
     except OSError as error:
-        raise SealError(f"{folder}: can't be read: {error.strerror}") from error
+        raise GalenError(f"{folder}: can't be read: {error.strerror}") from error
     return whole.hexdigest()
 
 
 def write_sealed(path: Path, content: str) -> None:
-    """Write the labels; raises SealError."""
+    """Write the labels; raises GalenError."""
     try:
         write_whole(path, content)
         path.chmod(0o600)
     except OSError as error:
-        raise SealError(f"{path}: can't be written: {error.strerror}") from error
+        raise GalenError(f"{path}: can't be written: {error.strerror}") from error
 
 
 def opened(path: Path, published_sha256: str) -> tuple[Label, ...]:
-    """Read a sealed file's labels, if they are those of the hash; raises SealError."""
+    """Read a sealed file's labels, if they are those of the hash; raises GalenError."""
     try:
         content = path.read_text(encoding="utf-8")
     except OSError as error:
-        raise SealError(f"{path}: the labels can't be read: {error.strerror}") from error
+        raise GalenError(f"{path}: the labels can't be read: {error.strerror}") from error
     if not hmac.compare_digest(sha256(content), published_sha256):
-        raise SealError(f"{path}: isn't what was sealed: its SHA-256 is not {published_sha256}")
+        raise GalenError(f"{path}: isn't what was sealed: its SHA-256 is not {published_sha256}")
     try:
         return tuple(
             label_from_json(label)
             for label in get(mapping(parse_json(content), "labels"), "labels")
         )
     except (FieldError, TypeError) as error:
-        raise SealError(f"{path}: {error}") from error
+        raise GalenError(f"{path}: {error}") from error
 
 
 VERDICTS = (NONE, "identified", "ambiguous", UNKNOWN)

@@ -21,9 +21,8 @@ import numpy as np
 from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
+from galen_model.errors import GalenError
 from scipy.spatial.transform import Rotation
-
-from galen_diagnosis.errors import DiagnosisError
 
 STEP_S = 1e-3
 _SETTLE_S = 0.5
@@ -135,12 +134,12 @@ class Trace(NamedTuple):
 
 
 def require_mujoco() -> Any:
-    """Import MuJoCo; raises DiagnosisError where it is not installed."""
+    """Import MuJoCo; raises GalenError where it is not installed."""
     try:
         import mujoco
         import mujoco.rollout
     except ImportError as error:
-        raise DiagnosisError(
+        raise GalenError(
             "the blind arm needs MuJoCo: pip install -r requirements/dev.txt"
         ) from error
     # Its own handler writes a file into the working directory; `_rollout` reports instability.
@@ -434,7 +433,7 @@ class MujocoArm:
             parts.append(sensed[0])
         rows = np.concatenate(parts)
         if not np.all(np.isfinite(rows)) or data.warning.number.any():
-            raise DiagnosisError("the simulated arm became unstable")
+            raise GalenError("the simulated arm became unstable")
         return rows
 
     def _start(self, data: Any, joints: Array, control: Array) -> None:

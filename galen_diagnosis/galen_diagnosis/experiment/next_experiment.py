@@ -21,7 +21,7 @@ import numpy as np
 import yaml
 from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
-from galen_model.errors import NotExcitedError
+from galen_model.errors import GalenError, NotExcitedError
 from galen_model.files.atomic_file import write_whole
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.identification import check_planned_poses
@@ -31,7 +31,6 @@ from galen_model.poses.plan import SweepRange
 from galen_ros.command import writing
 from galen_ros.goal.parameters import MotionParameters
 
-from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.experiment.separation import Alternative, choose_units, separate
 from galen_diagnosis.experiment.trial import Trial, motion_trial, push_trial, still_trial
 
@@ -263,7 +262,7 @@ def write_sweep(experiment: Experiment, path: Path) -> None:
     """
     proposal = experiment.proposal
     if proposal.program == "none":
-        raise DiagnosisError(
+        raise GalenError(
             f"{path}: not written: the next experiment ({proposal.kind}) is nothing that a node"
             f" runs; do it by hand: {proposal.do}"
         )

@@ -18,13 +18,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
+from galen_model.errors import GalenError
 from galen_model.load.nominal_tools import ToolGeometry
 from galen_model.registration import Transform, solve_base
 from galen_model.rotation import matrix_to_rotvec, rotvec_to_matrix
 from galen_sim_driver.effects.effect import Effect
 from galen_sim_driver.replay import Replay, Scene
 
-from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.observation.noise import ChannelNoise, channel_noise
 from galen_diagnosis.observation.recording import BagData, DiagnosticRecording, Track
 from galen_diagnosis.observation.rows import (
@@ -122,7 +122,7 @@ class Observation:
     """What was measured, as rows; `residual` gives them under effects and unknowns."""
 
     def __init__(self, recording: DiagnosticRecording) -> None:
-        """Whiten with the noise of the nominal residual; raises DiagnosisError for too little."""
+        """Whiten with the noise of the nominal residual; raises GalenError for too little."""
         self.recording = recording
         self.base_in_tracker: Transform | None = None
         self.views: dict[str, BagView] = {}
@@ -140,7 +140,7 @@ class Observation:
         joined, self.nominal = _joined(parts)
         self.rows = ResidualRows(**joined, arm=recording.arm)
         if first_block < 2:
-            raise DiagnosisError(
+            raise GalenError(
                 f"{recording.name}: one pose, or three seconds, is all there is; nothing is "
                 "left to score a fit on"
             )
@@ -269,7 +269,7 @@ class Observation:
             stretches(bag.wrench_s, residual, of.stretch, quiet), _KNOT_S[name], 1e-6
         )
         if not noise:
-            raise DiagnosisError(
+            raise GalenError(
                 f"{self.recording.name}/{name}: the arm never stays or moves long enough without a "
                 "gap in the wrenches to show their noise"
             )

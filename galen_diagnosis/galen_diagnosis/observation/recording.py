@@ -18,10 +18,10 @@ from galen_bags.formats.files import is_bag
 from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN, WRENCH_AXES
 from galen_model.arrays import Array
+from galen_model.errors import GalenError
 from galen_model.files.calibration_file import CalibrationFile, read_calibration
 
 from galen_bags import BagError
-from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.observation.rows import BAGS
 
 _JUMP_S = 1.0
@@ -76,14 +76,14 @@ class DiagnosticRecording:
 def read_recording(
     path: str | os.PathLike[str], tool: str | os.PathLike[str] | None = None
 ) -> DiagnosticRecording:
-    """Read a recording's directory; raises DiagnosisError, BagError or CalibrationFileError.
+    """Read a recording's directory; raises GalenError.
 
     tool: the tool's file, where it isn't the directory's own tool.json. Missing bags are named in
     `missing`; without any there is nothing to diagnose.
     """
     path = Path(path)
     if not any((path / name).exists() for name in BAGS):
-        raise DiagnosisError(_no_recording(path))
+        raise GalenError(_no_recording(path))
     tool_file = read_calibration(path / "tool.json" if tool is None else tool)
     arms: dict[str, ArmRecording] = {}
     problems: list[str] = []
@@ -131,7 +131,7 @@ def _no_recording(path: Path) -> str:
 def _check_frames(path: Path, arm: ArmRecording, tool: CalibrationFile) -> None:
     other = [frame for frame in arm.frame_ids if frame and frame != tool.sensor_frame]
     if other:
-        raise DiagnosisError(
+        raise GalenError(
             f"{path}: wrenches in frame {other[0]!r}, but the tool's file is for "
             f"{tool.sensor_frame!r}"
         )
@@ -145,7 +145,7 @@ class _Arm:
     """
 
     def __init__(self, path: Path, arm: ArmRecording) -> None:
-        """Raise DiagnosisError where too little is left."""
+        """Raise GalenError where too little is left."""
         self.problems: list[str] = []
         for what, stamps in (
             ("joint states", arm.joint_stamp_ns),
@@ -153,11 +153,11 @@ class _Arm:
         ):
             back_s = -1e-9 * float(np.diff(stamps[stamps > 0]).min(initial=0))
             if back_s > _JUMP_S:
-                raise DiagnosisError(
+                raise GalenError(
                     f"{path}: stamps of {what} go back by {back_s:.3g} s, as when a clock is set"
                 )
         if not np.isfinite(arm.joints).all(axis=1).any():
-            raise DiagnosisError(f"{path}: joint states don't name all five joints")
+            raise GalenError(f"{path}: joint states don't name all five joints")
         joint_ns, joints = self._usable("joint states", arm.joint_stamp_ns, arm.joints)
         wrench_ns, wrenches = self._usable("wrenches", arm.wrench_stamp_ns, arm.wrenches)
         known = _within_reach(wrench_ns, joint_ns)
@@ -166,12 +166,12 @@ class _Arm:
         wrench_ns, wrenches = wrench_ns[known], wrenches[known]
         for what, stamps in (("joint states", joint_ns), ("wrenches", wrench_ns)):
             if len(stamps) < _LEAST_SAMPLES:
-                raise DiagnosisError(
+                raise GalenError(
                     f"{path}: {len(stamps)} usable {what}; at least {_LEAST_SAMPLES} are needed"
                 )
             rate_hz = 1e9 / float(np.median(np.diff(stamps)))
             if rate_hz < _LEAST_HZ:
-                raise DiagnosisError(
+                raise GalenError(
                     f"{path}: {what} at {rate_hz:.3g} Hz; at least {_LEAST_HZ:g} Hz are needed"
                 )
         frozen = [

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from galen_model.errors import GalenError
 from galen_model.files.atomic_file import sync_directory
 from galen_ros.command import check_parent, writing
 from galen_sim_driver.effects.effect import Effect
@@ -30,7 +31,6 @@ from rich.table import Table
 
 from galen_diagnosis.answer.answer import NONE, UNKNOWN, Answer
 from galen_diagnosis.answer.localization import LEVEL
-from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.report.words import (
     RANKING_NOTE,
     p_words,
@@ -258,9 +258,9 @@ def check_output(folder: Path, *, overwrite: bool) -> None:
     if not os.path.lexists(folder):
         return
     if not overwrite:
-        raise DiagnosisError(f"{folder}: is there already; --overwrite replaces an old diagnosis")
+        raise GalenError(f"{folder}: is there already; --overwrite replaces an old diagnosis")
     if folder.is_symlink() or not (folder / DIAGNOSIS).is_file():
-        raise DiagnosisError(f"{folder}: not overwritten: it holds no {DIAGNOSIS}")
+        raise GalenError(f"{folder}: not overwritten: it holds no {DIAGNOSIS}")
 
 
 def write_output(

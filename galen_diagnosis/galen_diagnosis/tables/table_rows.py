@@ -13,13 +13,13 @@ import numpy as np
 from galen_bags.arrays.tables import OrientationTable, average_still
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
+from galen_model.errors import GalenError
 from galen_model.evidence.held_out import BlockRows, Columns, Effects
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.identification import plain_least_squares
 from galen_model.load.model import Load, gravity_regressor
 from galen_model.rest.segments import DirectionRest, rest_by_direction
 
-from galen_diagnosis.errors import DiagnosisError
 from galen_diagnosis.observation.noise import ChannelNoise, channel_noise
 from galen_diagnosis.tables.table_effects import TablePlant, table_effects
 
@@ -63,7 +63,7 @@ def prepare_table(
         floor = _floor_of_readings(averaged, noise)
     block, labels = _blocks(averaged)
     if len(labels) < _FEWEST_BLOCKS:
-        raise DiagnosisError(
+        raise GalenError(
             f"{table.path}: {len(labels)} blocks of readings; holding some out takes"
             f" {_FEWEST_BLOCKS}"
         )
@@ -106,7 +106,7 @@ def _nominal(table: OrientationTable, tool: CalibrationFile | None) -> tuple[Tab
     if tool is None:
         moments, offset = plain_least_squares(table.gravity, table.wrench)
         if not moments[0] > 0.0:
-            raise DiagnosisError(
+            raise GalenError(
                 f"{table.path}: the load would weigh {moments[0]:.3g} kg; does a push read"
                 " positive in the direction of the push?"
             )
@@ -151,13 +151,13 @@ def _floor_at_rest(table: OrientationTable, window_s: float) -> Floor:
     segments = rest_by_direction(table.time, table.gravity, DirectionRest())
     if not segments:
         shortest_s = DirectionRest().min_duration_s
-        raise DiagnosisError(f"{table.path}: no rest segment of {shortest_s:g} s in it")
+        raise GalenError(f"{table.path}: no rest segment of {shortest_s:g} s in it")
     step_s = float(np.median(np.diff(table.time)))
     size = max(1, round(window_s / step_s))
     readings = [(table.time[segment], table.wrench[segment]) for segment in segments]
     noise = channel_noise(readings, max(_LONGEST_CURVE_S, 3.0 * window_s))
     if not noise:
-        raise DiagnosisError(f"{table.path}: every rest segment is too short to show its noise")
+        raise GalenError(f"{table.path}: every rest segment is too short to show its noise")
     variances = np.array([_of_means(channel, size) for channel in noise])
     together = float(np.clip(np.mean(variances[:, 1] / variances[:, 0]), 0.0, 0.99))
     std, source = np.sqrt(variances[:, 0]), "scatter within rest segments"

@@ -72,10 +72,6 @@ _OLD_S = 24 * 3600.0
 _MOST_BYTES = 64 << 20
 
 
-class StoredReportError(GalenError):
-    """A report can't be written."""
-
-
 @dataclass(frozen=True)
 class StoredReport:
     """A report; made_at: RFC 3339; recording, tool: names for a person."""
@@ -115,20 +111,18 @@ class Reports:
             return self._read_known().get(report_id)
 
     def begin(self) -> Path:
-        """Make a folder for a report, not listed yet. Raises StoredReportError."""
+        """Make a folder for a report, not listed yet. Raises GalenError."""
         try:
             self._directory.mkdir(parents=True, exist_ok=True)
             self._sweep()
             return Path(tempfile.mkdtemp(dir=self._directory, prefix=_UNFINISHED))
         except OSError as error:
-            raise StoredReportError(
-                f"{self._directory}: can't be written: {error.strerror}"
-            ) from error
+            raise GalenError(f"{self._directory}: can't be written: {error.strerror}") from error
 
     def finish(self, folder: Path, told: Mapping[str, str]) -> StoredReport:
         """List a written folder; `told` has StoredReport's fields but id and made_at.
 
-        Raises StoredReportError.
+        Raises GalenError.
         """
         at = datetime.now(UTC)
         name = f"{at.strftime('%Y%m%dT%H%M%SZ')}_{told['kind']}_{secrets.token_hex(4)}"
@@ -139,7 +133,7 @@ class Reports:
             folder.chmod(0o755)  # mkdtemp's 0700 would hide it from the lab's others
             folder.rename(self._directory / name)
         except OSError as error:
-            raise StoredReportError(f"{folder}: can't be written: {error.strerror}") from error
+            raise GalenError(f"{folder}: can't be written: {error.strerror}") from error
         with self._lock:
             self._read_known()[name] = report
         return report
