@@ -14,7 +14,7 @@ from collection_world import POSITIONS, CollectionWorld
 from diagnostic_msgs.msg import DiagnosticArray
 from galen_bags.formats.bag import open_bag
 from galen_deflection.collection.command import format_result, parse, result_fields
-from galen_deflection.collection.commands import ErrorCode, State
+from galen_deflection.collection.plan import ErrorCode, State
 from galen_deflection.measurement.measured_deflection import measure_deflection
 from galen_deflection.measurement.push_recording import read_pushes
 from galen_deflection.measurement.samples import find_pushes

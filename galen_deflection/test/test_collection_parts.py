@@ -6,18 +6,22 @@ import math
 import numpy as np
 import pytest
 from collection_fake_arm import TIP
-from galen_deflection.collection.commands import NOTHING, Collected, ErrorCode, Finished, State
 from galen_deflection.collection.node import summary
 from galen_deflection.collection.plan import (
+    NOTHING,
+    Collected,
     CollectionParameters,
+    ErrorCode,
+    Finished,
     OutOfReachError,
     PlanError,
+    State,
     WantedPush,
     make_plan,
 )
 from galen_deflection.collection.recorder import CollectionFolder
 from galen_deflection.collection.watches import MarkerPoses, PushWatch
-from galen_deflection.errors import DeflectionError
+from galen_deflection.measurement.samples import DeflectionError
 from galen_model.arm.galen import GALEN
 from galen_model.errors import ToolNameError
 from galen_model.files.calibration_file import read_calibration

@@ -5,15 +5,16 @@ import dataclasses
 import numpy as np
 import pytest
 from collection_fake_arm import BASE_IN_TRACKER, TIP, FakeArm, Hand
-from galen_deflection.collection.commands import (
+from galen_deflection.collection.plan import (
+    CollectionParameters,
     ErrorCode,
     Feedback,
     Finished,
     Push,
     Record,
     State,
+    make_plan,
 )
-from galen_deflection.collection.plan import CollectionParameters, make_plan
 from galen_deflection.collection.procedure import CollectionProcedure
 from galen_ros.goal.procedure import MoveTo, Stop
 

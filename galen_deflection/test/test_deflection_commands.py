@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from galen_deflection.errors import FitError
+from galen_deflection.measurement.samples import DeflectionError
 from galen_deflection.models.file import KINDS, read_model
 from galen_model.files.calibration_file import write_calibration
 from galen_ros.command import EXIT_FAILED, EXIT_OK
@@ -210,7 +210,7 @@ def test_kinds_are_fitted_where_they_are_not_checked(folder, capsys):
 
 def test_a_kind_that_fails_is_named_and_the_others_go_on(folder, capsys, monkeypatch):
     def fails(samples, settings):
-        raise FitError("no such luck")
+        raise DeflectionError("no such luck")
 
     monkeypatch.setitem(KINDS, "lstm", KINDS["lstm"]._replace(fit=fails))
     arguments = (folder / "bags" / "first", "--tool", TOOL_FILE, "--split", "position")

@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from galen_deflection.errors import FitError
+from galen_deflection.measurement.samples import DeflectionError
 from galen_deflection.scoring.joint_fit import OURS, CellSums, compare, estimate, fit_terms
 from galen_deflection.scoring.joint_report import notes
+from galen_model.errors import GalenError
 from galen_model.transmission import (
     TERMS,
     JointRun,
-    PartsError,
     Scales,
     design,
     swapped,
@@ -134,7 +134,7 @@ def test_bounds_hold_for_what_gives_and_not_for_the_rest():
     found = estimate(comparison, "linear")
     assert found.stiffness is None
     assert any("--torque-gear" in note for note in notes(comparison, found))
-    with pytest.raises(FitError, match="no readings"):
+    with pytest.raises(DeflectionError, match="no readings"):
         fit_terms(sums, cells[:0], ("offset", "spring"))
 
 
@@ -159,12 +159,12 @@ def test_runs_that_may_train_for_each_other():
     assert parts.trained_on(0) == [2, 3, 4]
     assert parts.trained_on(1) == [2, 4]
     assert whole_runs(runs).trained_on(3) == [0, 1, 2, 4]
-    with pytest.raises(PartsError, match="tool4_00: 1 runs differ"):
+    with pytest.raises(GalenError, match="tool4_00: 1 runs differ"):
         whole_runs(runs[:3], "_(.)(.)")
     for pattern in ("x(.)", "tool4"):
-        with pytest.raises(PartsError, match=r"tool4_00: .* finds no groups"):
+        with pytest.raises(GalenError, match=r"tool4_00: .* finds no groups"):
             whole_runs(runs, pattern)
-    with pytest.raises(PartsError, match="no regular expression"):
+    with pytest.raises(GalenError, match="no regular expression"):
         whole_runs(runs, "(")
-    with pytest.raises(PartsError, match="2 runs"):
+    with pytest.raises(GalenError, match="2 runs"):
         whole_runs(runs[:2])

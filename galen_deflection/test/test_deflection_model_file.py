@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from deflection_synthetic import Arm, recording
-from galen_deflection.errors import DeflectionError
+from galen_deflection.measurement.samples import DeflectionError
 from galen_deflection.models.file import KINDS, read_model, write_model
 from galen_deflection.models.interface import FittedRange, fitted_on
 from galen_deflection.models.network import NetworkModel, RecurrentNet, Scaling, weight_shapes

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from deflection_synthetic import NOISE, POSITIONS, TIP_M, Arm, in_sensor, recording
-from galen_deflection.errors import FitError
+from galen_deflection.measurement.samples import DeflectionError
 from galen_deflection.models.file import KINDS
 from galen_deflection.models.interface import FitSettings, FittedRange
 from galen_deflection.models.spring_model import SpringBasis, SpringRun
@@ -151,7 +151,7 @@ def test_samples_that_cannot_be_fitted_to_are_rejected(kind, coarse):
         (recording(Arm(k_tilt=-1500.0), rate_hz=10.0), None,
          r"1/k_tilt comes out as -0\.0006.*rad/\(N"),
     ):  # fmt: skip
-        with pytest.raises(FitError, match=words):
+        with pytest.raises(DeflectionError, match=words):
             fit(kind, samples, settings)
 
 

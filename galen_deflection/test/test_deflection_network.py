@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from deflection_synthetic import Arm, recording
-from galen_deflection.errors import FitError
+from galen_deflection.measurement.samples import DeflectionError
 from galen_deflection.models.interface import FitSettings, PredictedSamples
 from galen_deflection.models.network import PacedNet, RecurrentNet, Scaling
 from galen_deflection.models.network_training import (
@@ -85,7 +85,7 @@ def test_only_a_training_loads_torch():
         [sys.executable, "-c", code], timeout=100, check=True, capture_output=True, text=True
     )
     assert result.stdout.splitlines() == [
-        "FitError lstm: training a network needs PyTorch: `make networks` installs it"
+        "DeflectionError lstm: training a network needs PyTorch: `make networks` installs it"
     ]
 
 
@@ -146,10 +146,10 @@ def test_held_out_are_repetitions_and_every_position_remains(pushed):
 
 
 def test_samples_that_cannot_be_learnt_from_are_rejected(pushed):
-    with pytest.raises(FitError, match="there are no samples"):
+    with pytest.raises(DeflectionError, match="there are no samples"):
         fit_network(pushed, FitSettings(use=np.zeros(len(pushed), dtype=bool)))
     broken = replace(pushed, wrench=np.full_like(pushed.wrench, np.nan))
-    with pytest.raises(FitError, match="aren't finite"):
+    with pytest.raises(DeflectionError, match="aren't finite"):
         fit_network(broken)
 
 
@@ -263,5 +263,5 @@ def test_the_numpy_network_is_what_torch_calculates(torch):
 
 def test_a_training_that_diverges_is_reported(torch):
     series = [with_backlash(np.random.default_rng(0))]
-    with pytest.raises(FitError, match="diverged at iteration"):
+    with pytest.raises(DeflectionError, match="diverged at iteration"):
         train(series, replace(SMALL, learning_rate=1e30))

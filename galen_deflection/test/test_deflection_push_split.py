@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from deflection_pushes import NOISE, TIP, make_samples, pushes_along
-from galen_deflection.errors import SplitError
 from galen_deflection.measurement.samples import DeflectionSamples, find_pushes, joined
 from galen_deflection.models.interface import FitSettings
 from galen_deflection.models.springs import tip_wrench
 from galen_deflection.scoring.cross_check import (
     SPLITS,
     Split,
+    SplitError,
     checked_samples,
     cross_check,
     fit_without,

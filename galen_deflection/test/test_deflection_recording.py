@@ -8,11 +8,16 @@ import pytest
 from galen_bags.arrays.arm_recording import read_arm
 from galen_bags.arrays.marker_tracks import RawTrack, marker_track
 from galen_bags.formats.bag import open_bag
-from galen_deflection.errors import DeflectionError, RegistrationError
-from galen_deflection.measurement.arm_positions import no_contact_phase, noise_of_mean, wrench_noise
-from galen_deflection.measurement.arm_track import read_arm_track
+from galen_deflection.measurement.arm_track import (
+    no_contact_phase,
+    noise_of_mean,
+    read_arm_track,
+    wrench_noise,
+)
 from galen_deflection.measurement.measured_deflection import measure_deflection
 from galen_deflection.measurement.push_recording import base_stands, read_pushes
+from galen_deflection.measurement.registration import RegistrationError
+from galen_deflection.measurement.samples import DeflectionError
 from galen_gravcomp.compensator import Compensator
 from galen_model.arm.galen import SENSOR
 from galen_model.files.calibration_file import read_calibration

@@ -6,10 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from galen_deflection.errors import RegistrationError
 from galen_deflection.measurement.measured_deflection import measure_deflection
 from galen_deflection.measurement.push_recording import read_pushes
-from galen_deflection.measurement.registration import RestPose, register
+from galen_deflection.measurement.registration import RegistrationError, RestPose, register
 from galen_model.arm.galen import ENCODER_QUANTUM, GALEN
 from galen_model.files.calibration_file import read_calibration
 from galen_model.registration import IDENTITY, Transform

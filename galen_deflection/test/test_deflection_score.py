@@ -6,8 +6,7 @@ from io import StringIO
 import numpy as np
 import pytest
 from deflection_pushes import NOISE, along, hysteretic, make_samples, predict, pushes_along
-from galen_deflection.errors import DeflectionError
-from galen_deflection.measurement.samples import find_pushes
+from galen_deflection.measurement.samples import DeflectionError, find_pushes
 from galen_deflection.models.springs import tip_wrench
 from galen_deflection.scoring.report import score_table
 from galen_deflection.scoring.score import RestScore, score

@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
-from galen_deflection.errors import SplitError
 from galen_deflection.measurement.samples import DeflectionSamples
-from galen_deflection.scoring.cross_check import position_splits, report_splits
+from galen_deflection.scoring.cross_check import SplitError, position_splits, report_splits
 
 
 def make_samples(sets, segments_a_set=2, samples_a_segment=3):

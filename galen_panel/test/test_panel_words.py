@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 from galen_calibration_behavior.commands import CalibrationState, CheckState
-from galen_deflection.collection.commands import State as CollectionState
+from galen_deflection.collection.plan import State as CollectionState
 from galen_deflection.deflector import ModelRejection
 from galen_deflection.monitor import DeflectorMonitor
 from galen_gravcomp.monitor import Monitor

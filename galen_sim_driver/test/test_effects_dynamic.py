@@ -12,7 +12,7 @@ from galen_sim_driver.effects.effect import ConfigError, Instants, Loading, Post
 from galen_sim_driver.effects.hysteresis import DeflectionHysteresis, turning_points
 from galen_sim_driver.effects.joints import Backlash, JointCompliance
 from galen_sim_driver.effects.load import CableDrag
-from galen_sim_driver.effects.tracker import BaseShift, TrackerDelay, TrackerScale
+from galen_sim_driver.effects.sensor import BaseShift, TrackerDelay, TrackerScale
 from galen_sim_driver.replay import Replay, Scene
 
 POINTER = TOOLS["pointer"]

@@ -13,13 +13,13 @@ from galen_model.rotation import quaternion_to_matrix, rotvec_to_matrix
 from galen_ros.parameters import param_fields
 from galen_sim_driver.effects.registry import IDENTITIES, effect_from
 from galen_sim_driver.effects.sensor import (
+    BaseShift,
     BiasStep,
     Crosstalk,
     SensorDrift,
     SensorSaturation,
     WrenchDelay,
 )
-from galen_sim_driver.effects.tracker import BaseShift
 from galen_sim_driver.parameters import (
     EffectParameters,
     driver_file,

@@ -20,8 +20,7 @@ from galen_ros.goal.client import (
     run_client,
 )
 
-from galen_deflection.collection.commands import ErrorCode, State
-from galen_deflection.collection.plan import MOST_SETS
+from galen_deflection.collection.plan import MOST_SETS, ErrorCode, State
 from galen_msgs.action import CollectPushes
 
 _PUSHING = (State.PUSH, State.HOLD, State.RELEASE, State.REST)

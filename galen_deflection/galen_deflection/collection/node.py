@@ -23,18 +23,16 @@ from rclpy.client import Client
 from rclpy.subscription import Subscription
 
 from galen_bags import BagError
-from galen_deflection.collection.commands import (
-    ErrorCode,
-    Feedback,
-    Finished,
-    Push,
-    Record,
-)
 from galen_deflection.collection.plan import (
     CollectionParameters,
     CollectionPlan,
+    ErrorCode,
+    Feedback,
+    Finished,
     OutOfReachError,
     PlanError,
+    Push,
+    Record,
     make_plan,
 )
 from galen_deflection.collection.procedure import CollectionProcedure
@@ -42,7 +40,7 @@ from galen_deflection.collection.recorder import (
     BagRecording,
     CollectionFolder,
 )
-from galen_deflection.errors import DeflectionError
+from galen_deflection.measurement.samples import DeflectionError
 from galen_msgs.action import CollectPushes
 from galen_msgs.srv import PushTool
 

@@ -25,17 +25,19 @@ from galen_model.arrays import Array
 from galen_ros.goal.arrival import NS, StampClock
 from galen_ros.goal.procedure import JOINTS, GoalProcedure
 
-from galen_deflection.collection.commands import (
+from galen_deflection.collection.plan import (
     NOTHING,
     Collected,
+    CollectionParameters,
+    CollectionPlan,
     ErrorCode,
     Feedback,
     Finished,
     Push,
     Record,
     State,
+    WantedPush,
 )
-from galen_deflection.collection.plan import CollectionParameters, CollectionPlan, WantedPush
 from galen_deflection.collection.watches import (
     NoContact,
     NoContactWatch,

@@ -34,7 +34,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from galen_bags import BagError
-from galen_deflection.errors import DeflectionError
+from galen_deflection.measurement.samples import DeflectionError
 
 _SPIN_S = 0.05
 TOOL_FILE, SUMMARY_FILE = "tool.json", "collection.json"

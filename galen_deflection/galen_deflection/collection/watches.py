@@ -1,7 +1,7 @@
 """What a collection watches: one push, and the tool without contact, its markers seen.
 
 Without contact by the rule that reading the recording goes by later
-(`arm_positions.no_contact_phase`), and by a limit of its own: a trembling hand makes its own noise.
+(`arm_track.no_contact_phase`), and by a limit of its own: a trembling hand makes its own noise.
 
 Two calibration sets show whether the robot's position stayed constant, as in the 2019 report. The
 first set registers the tracker as the report does (eq. 13), W = F(q_1) M_1^-1 with F the tip by the
@@ -21,9 +21,8 @@ from galen_model.arrays import Array
 from galen_model.registration import Transform, mean_pose
 from galen_ros.goal.arrival import NS
 
-from galen_deflection.collection.commands import State
-from galen_deflection.collection.plan import CollectionParameters, WantedPush
-from galen_deflection.measurement.arm_positions import SIGMAS, no_contact_phase, noise_of_mean
+from galen_deflection.collection.plan import CollectionParameters, State, WantedPush
+from galen_deflection.measurement.arm_track import SIGMAS, no_contact_phase, noise_of_mean
 
 _LEAST_POSES = 10
 

@@ -1,9 +1,10 @@
-"""Read the arm's joints and compensated wrenches from a bag, each on its line of time."""
+"""Read the arm's joints and wrenches from a bag; where it stood, and when without contact."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from galen_bags.arrays.arm_recording import ArmReader, Samples, join_samples
@@ -14,9 +15,142 @@ from galen_model.arm.galen import GALEN, SENSOR
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.prediction import Prediction
+from galen_model.rest.segments import rest_by_joints
 from galen_ros.stream.samples import joint_jump
 
-from galen_deflection.errors import DeflectionError
+from galen_deflection.measurement.samples import DeflectionError
+
+_SAME_M, _SAME_RAD = 2e-3, 1e-2
+
+WINDOW_S = 0.1
+"""Without contact, the wrench's mean over this window stays within SIGMAS of its noise."""
+
+SIGMAS = 6.0
+
+_MIN_DURATION_S = 0.5  # of the phase before the first push
+_MARGIN_S = 0.1  # cut off before the wrench leaves the limits
+_MAX_OFFSET = np.array([0.5] * 3 + [0.05] * 3)  # that the tool's file may be wrong by, N and N.m
+_NS = 1e9
+_MAD_TO_STD = 1.4826
+_LOWER_QUARTILE = 0.3186  # of a normal deviate's absolute value
+
+
+def same_position(arm: Arm) -> Array:
+    """Return (j,), m and rad: joints this near are the same position."""
+    return np.array([_SAME_M if unit == "m" else _SAME_RAD for unit in arm.units])
+
+
+class Stay(NamedTuple):
+    """The arm stood at a position from start_ns to end_ns; `visit` counts the times it came."""
+
+    start_ns: int
+    end_ns: int
+    position: int
+    visit: int
+
+
+def find_stays(line: Timeline, joints: Array, arm: Arm) -> tuple[list[Stay], Array]:
+    """Return where the arm stood, in order, and the joints (p, j) of each position.
+
+    joints (n, j) belong to the line's samples. A stay at the place of the one before is the same
+    visit.
+    """
+    same = same_position(arm)
+    positions: list[Array] = []
+    visits: list[int] = []
+    stays: list[Stay] = []
+    for rows in rest_by_joints(line.time_ns, joints):
+        here = np.nanmedian(joints[rows], axis=0)
+        near = [k for k, p in enumerate(positions) if np.all(np.abs(p - here) <= same)]
+        if near:
+            position = near[0]
+        else:
+            position = len(positions)
+            positions.append(here)
+            visits.append(-1)
+        if not stays or stays[-1].position != position:
+            visits[position] += 1
+        first, last = line.time_ns[rows.start], line.time_ns[rows.stop - 1]
+        stays.append(Stay(int(first), int(last), position, visits[position]))
+    return stays, np.array(positions).reshape(-1, joints.shape[1])
+
+
+def wrench_noise(wrenches: Array) -> Array:
+    """Return the standard deviation (6,) of one sample's white noise, at least a quantum.
+
+    From second differences, which smooth pushes hardly change.
+    """
+    steps = np.diff(wrenches, n=2, axis=0)
+    if not len(steps):
+        return np.asarray(SENSOR.quantum)
+    # The median alone would be one of few values: readings come in quanta.
+    limit = 4.0 * _MAD_TO_STD * np.median(np.abs(steps), axis=0)
+    small = np.where(np.abs(steps) <= np.maximum(limit, SENSOR.quantum), steps, np.nan)
+    return np.maximum(np.sqrt(np.nanmean(small**2, axis=0) / 6.0), SENSOR.quantum)
+
+
+def noise_of_mean(time_ns: np.ndarray, wrenches: Array) -> Array:
+    """Return the standard deviation (6,) of the mean over WINDOW_S, white noise or filtered.
+
+    At least that of white noise. More comes from second differences of windows' means: of their
+    absolute values the lower quartile, because many windows are inside of pushes; where half of
+    them are, this is too large by a factor of two.
+    """
+    width = _window_samples(time_ns)
+    white = wrench_noise(wrenches) / np.sqrt(width)
+    count = len(wrenches) // width
+    if count < 12:
+        return np.asarray(white)
+    means = wrenches[: count * width].reshape(count, width, 6).mean(axis=1)
+    steps = np.abs(np.diff(means, n=2, axis=0))
+    return np.maximum(white, np.quantile(steps, 0.25, axis=0) / _LOWER_QUARTILE / np.sqrt(6.0))
+
+
+def no_contact_phase(
+    time_ns: np.ndarray, wrenches: Array, noise: Array
+) -> tuple[tuple[int, int] | None, Array, str]:
+    """Find the first phase without contact in one visit's wrenches (n, 6) at time_ns (n,).
+
+    noise (6,): of a mean over the window (`noise_of_mean`). Returns from when to when (time_ns), or
+    None, the mean wrench (6,) meanwhile, and why there is none, in words.
+    """
+    nothing = np.full(6, np.nan)
+    if len(time_ns) < 3:
+        return None, nothing, "there are no wrenches"
+    mean = _moving_mean(wrenches, _window_samples(time_ns))
+    limit = SIGMAS * noise
+    start_rows = int(np.searchsorted(time_ns, time_ns[0] + round(_MIN_DURATION_S * _NS)))
+    stop = start_rows
+    for _ in range(3):
+        offset = wrenches[:stop].mean(axis=0)
+        away = np.any(np.abs(mean - offset) > limit, axis=1)
+        stop = int(np.argmax(away)) if away.any() else len(time_ns)
+        if stop < start_rows:
+            return None, nothing, "the wrench changes from the start"
+    if np.any(np.abs(offset) > _MAX_OFFSET):
+        force, torque = np.linalg.norm(offset[:3]), 1e3 * np.linalg.norm(offset[3:])
+        return None, nothing, f"it begins under load ({force:.2f} N, {torque:.0f} mN·m)"
+    margin_ns = round(_MARGIN_S * _NS)
+    end_ns = int(time_ns[stop - 1]) - (margin_ns if stop < len(time_ns) else 0)
+    if end_ns - time_ns[0] < _MIN_DURATION_S * _NS:
+        return None, nothing, f"it is without contact for less than {_MIN_DURATION_S:g} s"
+    return (int(time_ns[0]), end_ns), offset, ""
+
+
+def _window_samples(time_ns: np.ndarray) -> int:
+    """How many samples the window holds, at least one."""
+    period_s = float(np.median(np.diff(time_ns))) / _NS if len(time_ns) > 1 else WINDOW_S
+    return max(1, round(WINDOW_S / period_s))
+
+
+def _moving_mean(values: Array, width: int) -> Array:
+    """Means (n, k) over `width` neighbours, fewer at the ends."""
+    sums = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
+    row = np.arange(len(values))
+    low = np.maximum(row - (width - 1) // 2, 0)
+    high = np.minimum(row + width // 2 + 1, len(values))
+    return np.asarray((sums[high] - sums[low]) / (high - low)[:, None])
+
 
 # The live node's `max_joint_age_s`: joints are not interpolated over more.
 _MAX_JOINT_GAP_S = 0.05

@@ -12,11 +12,15 @@ from galen_model.errors import GalenError
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.registration import Transform
 
-from galen_deflection.errors import DeflectionError, RegistrationError
-from galen_deflection.measurement.arm_positions import same_position
+from galen_deflection.measurement.arm_track import same_position
 from galen_deflection.measurement.push_recording import PushRecording, read_pushes
-from galen_deflection.measurement.registration import Registration, register, rest_poses
-from galen_deflection.measurement.samples import DeflectionSamples, joined
+from galen_deflection.measurement.registration import (
+    Registration,
+    RegistrationError,
+    register,
+    rest_poses,
+)
+from galen_deflection.measurement.samples import DeflectionError, DeflectionSamples, joined
 
 _LEAST_NOISE = 1e-6
 _BIAS_DRIFTS = 1.5

@@ -32,14 +32,15 @@ from galen_model.distributions import chi2_isf
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.registration import Transform, mean_pose
 
-from galen_deflection.errors import DeflectionError
-from galen_deflection.measurement.arm_positions import (
+from galen_deflection.measurement.arm_track import (
+    ArmTrack,
     Stay,
     find_stays,
     no_contact_phase,
     noise_of_mean,
+    read_arm_track,
 )
-from galen_deflection.measurement.arm_track import ArmTrack, read_arm_track
+from galen_deflection.measurement.samples import DeflectionError
 
 TOOL_POSE, BASE_POSE = "tracker/tool_pose", "tracker/base_pose"
 """Topics by name, or by the end of their name (`ArmTopics`)."""

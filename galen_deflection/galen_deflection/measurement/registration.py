@@ -38,8 +38,13 @@ from galen_model.registration import (
 )
 from galen_model.rotation import skew
 
-from galen_deflection.errors import RegistrationError
 from galen_deflection.measurement.push_recording import PushRecording
+from galen_deflection.measurement.samples import DeflectionError
+
+
+class RegistrationError(DeflectionError):
+    """The tracker can't be registered to the arm, or the registration doesn't hold."""
+
 
 MAX_RESIDUAL_M, MAX_RESIDUAL_RAD = 1.0e-4, 3.5e-4
 """A position fails the check when its residual is more than chance makes it, and longer than this:

@@ -11,8 +11,12 @@ import numpy as np
 from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array, runs
+from galen_model.errors import GalenError
 
-from galen_deflection.errors import FitError
+
+class DeflectionError(GalenError):
+    """A recording, a model or samples that are unusable; the message gives the reason."""
+
 
 _NS_PER_S = 1e9
 
@@ -70,19 +74,21 @@ class DeflectionSamples:
 
 
 def check_to_fit(samples: DeflectionSamples, used: np.ndarray) -> None:
-    """Raise FitError unless a model can be fitted to the used samples (n,) bool."""
+    """Raise DeflectionError unless a model can be fitted to the used samples (n,) bool."""
     if not used.any():
-        raise FitError("there are no samples to fit a deflection model to")
+        raise DeflectionError("there are no samples to fit a deflection model to")
     for values in (samples.joints, samples.wrench, samples.deflection[used]):
         if not np.isfinite(values).all():
-            raise FitError("samples to fit a deflection model to hold values that aren't finite")
+            raise DeflectionError(
+                "samples to fit a deflection model to hold values that aren't finite"
+            )
         if np.abs(values).max() > _LARGEST:
-            raise FitError(
+            raise DeflectionError(
                 f"samples to fit a deflection model to hold {np.abs(values).max():.3g}, which is no"
                 " measurement in SI units"
             )
     if not np.all(samples.noise > 0.0):
-        raise FitError(
+        raise DeflectionError(
             "the noise of the samples, by which a fit weighs them, is"
             f" {', '.join(f'{value:.3g}' for value in samples.noise)} (m, rad): not above zero in"
             " all axes"

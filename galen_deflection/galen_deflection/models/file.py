@@ -37,8 +37,7 @@ from galen_model.files.json_fields import (
     text,
 )
 
-from galen_deflection.errors import DeflectionError
-from galen_deflection.measurement.samples import DeflectionSamples
+from galen_deflection.measurement.samples import DeflectionError, DeflectionSamples
 from galen_deflection.models.interface import FitSettings
 from galen_deflection.models.network import LSTM, NetworkModel
 from galen_deflection.models.network_training import fit_network
@@ -53,7 +52,7 @@ DeflectionModel = SpringModel | NetworkModel
 
 
 class ModelKind(NamedTuple):
-    """A kind of model; fit raises FitError, read takes a file's content and raises FieldError."""
+    """A kind of model; fit raises DeflectionError; read, of a file's content, FieldError."""
 
     summary: str
     fit: Callable[[DeflectionSamples, FitSettings | None], DeflectionModel]

@@ -25,8 +25,7 @@ import numpy as np
 from galen_model.arrays import Array
 from scipy.optimize import nnls
 
-from galen_deflection.errors import FitError
-from galen_deflection.measurement.samples import DeflectionSamples, check_to_fit
+from galen_deflection.measurement.samples import DeflectionError, DeflectionSamples, check_to_fit
 from galen_deflection.models.interface import FitSettings, FittedRange, fitted_on
 from galen_deflection.models.spring_model import (
     Parameter,
@@ -98,7 +97,7 @@ class Solution:
 
 
 def sums(basis: SpringBasis, samples: DeflectionSamples, settings: FitSettings) -> Sums:
-    """Go through the samples once, segment by segment; raises FitError as `check_to_fit`."""
+    """Go through the samples once, segment by segment; raises DeflectionError as `check_to_fit`."""
     used = settings.used(len(samples))
     check_to_fit(samples, used)
     weight = 1.0 / samples.noise
@@ -196,12 +195,12 @@ def finished(
 ) -> SpringModel:
     """Return the model of a basis, by its sums over the samples.
 
-    Raises FitError for samples without load, and for a spring that would push back.
+    Raises DeflectionError for samples without load, and for a spring that would push back.
     """
     parameters = basis.parameters
     solution = solve(*totals.total(), parameters)
     if len(solution.unresolved) == sum(p.prior_std is not None for p in parameters):
-        raise FitError(
+        raise DeflectionError(
             f"no parameter of the model {name} is identifiable from the samples: nothing loads the"
             " arm"
         )
@@ -261,7 +260,7 @@ def _inflation(totals: Sums, solution: Solution) -> float:
 
 
 def _reject_negative(totals: Sums, solution: Solution, parameters: Sequence[Parameter]) -> None:
-    """Raise FitError if a compliance would be below zero, were it let."""
+    """Raise DeflectionError if a compliance would be below zero, were it let."""
     information, right = totals.total()
     for k, parameter in enumerate(parameters):
         if parameter.prior_std is None or solution.values[k] > 0.0:
@@ -274,7 +273,7 @@ def _reject_negative(totals: Sums, solution: Solution, parameters: Sequence[Para
             _inflation(totals, replace(unbounded, values=values)) * unbounded.covariance[k, k]
         )
         if values[k] < -_REJECTED_BEYOND * std:
-            raise FitError(
+            raise DeflectionError(
                 f"{parameter.name} comes out as {values[k]:.3g} +- {std:.2g} {parameter.unit}: no "
                 "spring pushes back; wrench, joints and tracker do not fit together"
             )

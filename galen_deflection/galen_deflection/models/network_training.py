@@ -33,8 +33,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from galen_model.arrays import Array
 
-from galen_deflection.errors import FitError
-from galen_deflection.measurement.samples import DeflectionSamples, check_to_fit
+from galen_deflection.measurement.samples import DeflectionError, DeflectionSamples, check_to_fit
 from galen_deflection.models.interface import (
     SMALLEST_MARGIN,
     FitSettings,
@@ -92,7 +91,7 @@ class Series(NamedTuple):
 
 
 def fit_network(samples: DeflectionSamples, settings: FitSettings | None = None) -> NetworkModel:
-    """Train the report's network; raises FitError."""
+    """Train the report's network; raises DeflectionError."""
     settings = settings or FitSettings()
     used = settings.used(len(samples))
     check_to_fit(samples, used)
@@ -101,7 +100,7 @@ def fit_network(samples: DeflectionSamples, settings: FitSettings | None = None)
     training = TrainingSettings(seed=settings.seed, iterations=settings.iterations)
     held = hold_out(samples, used)
     if not held.any():
-        raise FitError(f"{LSTM}: so few samples that no part of them can be held out")
+        raise DeflectionError(f"{LSTM}: so few samples that no part of them can be held out")
     progress = settings.on_progress or (lambda done, total, what: None)
 
     # Of the inputs: a smaller load or way is nothing that a network should look at.
@@ -228,7 +227,7 @@ def train(
     network on the same machine. unit (n_out,): what an error is measured by, None for the targets'
     standard deviations; least (n_in,): inputs are standardised by no less. Returns the network,
     root mean square errors over `unit` after each iteration, and which one was kept, from 0. Raises
-    FitError with nothing to learn from, for a training that diverges, and without PyTorch.
+    DeflectionError with nothing to learn from, for a training that diverges, and without PyTorch.
     """
     torch = _torch()
     _check(series, held_out)
@@ -248,7 +247,7 @@ def train(
             torch.nn.utils.clip_grad_norm_(net.parameters, settings.gradient_limit)
             optimiser.step()
             if not np.isfinite(error):
-                raise FitError(
+                raise DeflectionError(
                     f"{LSTM}: the training diverged at iteration {iteration + 1}, with a learning"
                     f" rate of {settings.learning_rate:g}: the loss is {error}"
                 )
@@ -344,19 +343,21 @@ def _padded(torch: Any, group: list[Series], inputs: Scaling, outputs: Scaling) 
 def _check(series: Sequence[Series], held_out: Sequence[Series]) -> None:
     for which, several in (("to train on", series), ("held out", held_out)):
         if several and not any(s.use.any() for s in several):
-            raise FitError(f"{LSTM}: of the sequences {which}, no sample may be used")
+            raise DeflectionError(f"{LSTM}: of the sequences {which}, no sample may be used")
         for k, one in enumerate(several):
             if not np.isfinite(one.inputs).all() or not np.isfinite(one.targets[one.use]).all():
-                raise FitError(f"{LSTM}: sequence {k} {which} holds values that aren't finite")
+                raise DeflectionError(
+                    f"{LSTM}: sequence {k} {which} holds values that aren't finite"
+                )
     if not series:
-        raise FitError(f"{LSTM}: there are no sequences to train on")
+        raise DeflectionError(f"{LSTM}: there are no sequences to train on")
 
 
 def _torch() -> Any:
     try:
         import torch
     except ImportError as error:
-        raise FitError(f"{LSTM}: training a network {NEEDS}") from error
+        raise DeflectionError(f"{LSTM}: training a network {NEEDS}") from error
     return torch
 
 

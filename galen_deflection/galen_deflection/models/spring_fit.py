@@ -82,13 +82,13 @@ _WORTH_IT = 0.01
 
 
 def fit_stiffness(samples: DeflectionSamples, settings: FitSettings | None = None) -> SpringModel:
-    """Fit the springs alone by weighted non-negative least squares; raises FitError."""
+    """Fit the springs alone by weighted non-negative least squares; raises DeflectionError."""
     basis = SpringBasis(samples.tip_m, arm=samples.arm)
     return finished(STIFFNESS, basis, samples, sums(basis, samples, settings or FitSettings()))
 
 
 def fit_hysteresis(samples: DeflectionSamples, settings: FitSettings | None = None) -> SpringModel:
-    """Fit the springs with hysteresis; raises FitError."""
+    """Fit the springs with hysteresis; raises DeflectionError."""
     settings = settings or FitSettings()
     grid = _whole_grid(samples, settings)
     totals = sums(grid, samples, settings)

@@ -22,12 +22,21 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from galen_deflection.errors import SplitError
-from galen_deflection.measurement.samples import DeflectionSamples, find_pushes, no_load
+from galen_deflection.measurement.samples import (
+    DeflectionError,
+    DeflectionSamples,
+    find_pushes,
+    no_load,
+)
 from galen_deflection.models.file import KINDS, DeflectionModel
 from galen_deflection.models.interface import FitSettings, PredictedSamples
 from galen_deflection.models.springs import tip_wrench
 from galen_deflection.scoring.score import Score, score
+
+
+class SplitError(DeflectionError):
+    """Samples that can't be split as asked; the message names what is missing."""
+
 
 PUSH_FOLDS = 4
 

@@ -35,7 +35,7 @@ from galen_model.transmission import (
 )
 from scipy.optimize import nnls
 
-from galen_deflection.errors import FitError
+from galen_deflection.measurement.samples import DeflectionError
 
 OURS = "ours"
 
@@ -93,14 +93,14 @@ def fit_terms(
 ) -> Array:
     """Return weights (len(TERMS),), zero for all but `terms`; those not FREE are none below zero.
 
-    `bounded` off lets all of them be. Raises FitError if the cells hold nothing to fit to.
+    `bounded` off lets all of them be. Raises DeflectionError if the cells hold nothing to fit to.
     """
     columns = [TERMS.index(name) for name in terms]
     information = sums.information[cells].sum(axis=0)[np.ix_(columns, columns)]
     right = sums.right[cells].sum(axis=0)[columns]
     scale = np.sqrt(np.diag(information))
     if not np.any(scale > 0.0):
-        raise FitError("there are no readings to fit a joint's lag to")
+        raise DeflectionError("there are no readings to fit a joint's lag to")
     # what never moves has no weight; a little is asked of every other weight, so that terms with
     # the same effect share it
     scale = np.where(scale > 0.0, scale, np.inf)
@@ -271,7 +271,7 @@ def compare(
     common: tuple[str, ...] = (),
     on_part: Callable[[], object] = lambda: None,
 ) -> Comparison:
-    """Fit and check all models; on_part: called after each part. Raises FitError."""
+    """Fit and check all models; on_part: called after each part. Raises DeflectionError."""
     predictions: dict[str, list[Array]] = {}
     chosen = []
     count = len(parts.names)

@@ -16,8 +16,13 @@ import numpy as np
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_ppf, normal_ppf
 
-from galen_deflection.errors import DeflectionError
-from galen_deflection.measurement.samples import DeflectionSamples, Push, find_pushes, no_load
+from galen_deflection.measurement.samples import (
+    DeflectionError,
+    DeflectionSamples,
+    Push,
+    find_pushes,
+    no_load,
+)
 from galen_deflection.models.interface import PredictedSamples
 from galen_deflection.models.springs import tip_wrench
 

@@ -26,8 +26,7 @@ from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.evidence.linear import Background, Evidence, evidences
 from galen_sim_driver.effects.effect import Effect
-from galen_sim_driver.effects.sensor import BiasStep, SensorDrift, SensorSaturation
-from galen_sim_driver.effects.tracker import BaseShift
+from galen_sim_driver.effects.sensor import BaseShift, BiasStep, SensorDrift, SensorSaturation
 from galen_sim_driver.replay import Replay
 
 from galen_diagnosis.effects.candidates import Candidate, crosstalk_candidate, crosstalks

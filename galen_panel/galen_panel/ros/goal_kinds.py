@@ -16,8 +16,8 @@ from galen_calibration_behavior.commands import (
     CheckCode,
     CheckState,
 )
-from galen_deflection.collection import commands as collection_commands
-from galen_deflection.collection.commands import COLLECTION_PHASES
+from galen_deflection.collection import plan as collection_plan
+from galen_deflection.collection.plan import COLLECTION_PHASES
 from galen_model.files.calibration_file import check_tool_name
 from galen_ros.goal.client import result_to_dict
 
@@ -156,8 +156,8 @@ KINDS = (
         BehaviourKind.COLLECT,
         COLLECTION,
         CollectPushes,
-        collection_commands.ErrorCode,
-        collection_commands.State,
+        collection_plan.ErrorCode,
+        collection_plan.State,
         COLLECTION_PHASES,
         "what it recorded is under a name that ends in .unfinished",
         "not collected",

@@ -27,14 +27,16 @@ from galen_sim_driver.effects.load import (
 )
 from galen_sim_driver.effects.sensor import (
     AxisGain,
+    BaseShift,
     BiasStep,
     Crosstalk,
     SensorDrift,
     SensorMountRotation,
     SensorSaturation,
+    TrackerDelay,
+    TrackerScale,
     WrenchDelay,
 )
-from galen_sim_driver.effects.tracker import BaseShift, TrackerDelay, TrackerScale
 
 EFFECTS: dict[str, type[Effect]] = {
     effect.name: effect
