@@ -28,7 +28,7 @@ from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_model.arm.galen import GALEN
 from galen_model.errors import CalibrationFileError, GalenError
 from galen_model.files.calibration_file import read_calibration
-from galen_model.load.nominal_tools import ADAPTER, TOOLS
+from galen_model.load.model import ADAPTER, TOOLS
 from galen_sim_driver.effects.effect import Effect
 from galen_sim_driver.effects.load import CableDrag, InertialLoad
 from galen_sim_driver.plant.cell import Plant

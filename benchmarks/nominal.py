@@ -15,8 +15,7 @@ from galen_model.files.calibration_file import (
     calibration_path,
     write_calibration,
 )
-from galen_model.load.model import Load
-from galen_model.load.nominal_tools import ADAPTER, TOOLS
+from galen_model.load.model import ADAPTER, TOOLS, Load
 
 NAME = "retractor"
 _SHARES = (0.2, 0.8)

@@ -10,7 +10,7 @@ import pytest
 from action_msgs.msg import GoalStatus
 from fault_world import PATIENCE_S, TIP_M, FaultWorld
 from galen_model.files.calibration_file import read_calibration
-from galen_model.load.nominal_tools import TOOLS
+from galen_model.load.model import TOOLS
 from galen_ros.messages import STREAM
 from rclpy.action import ActionClient
 from rclpy.node import Node

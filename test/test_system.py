@@ -16,7 +16,7 @@ from galen_bringup.processes import (
     start_suite,
 )
 from galen_model.files.calibration_file import read_calibration
-from galen_model.load.nominal_tools import ADAPTER, TOOLS
+from galen_model.load.model import ADAPTER, TOOLS
 from rich.console import Console
 from rich.progress import Progress
 

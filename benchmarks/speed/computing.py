@@ -21,8 +21,8 @@ from itertools import count
 
 import numpy as np
 from galen_deflection.models.spring_model import SpringStream
+from galen_model.arm.description import PinocchioArm
 from galen_model.arm.galen import GALEN, SENSOR
-from galen_model.arm.pinocchio_arm import PinocchioArm
 from galen_model.arrays import Array
 from galen_model.load.identification import StillPoses, identify_two_sweeps
 from galen_model.load.model import gravity_regressor

@@ -21,8 +21,7 @@ import numpy as np
 from galen_model.arm.galen import GALEN, WRENCH_AXES
 from galen_model.errors import GalenError
 from galen_model.files.atomic_file import save_figure
-from galen_model.load.model import nominal_reading
-from galen_model.load.nominal_tools import ADAPTER, TOOLS
+from galen_model.load.model import ADAPTER, TOOLS, nominal_reading
 from galen_ros.command import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,

@@ -14,7 +14,7 @@ import numpy as np
 from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
-from galen_model.rest.pose import PoseRecord, StillnessSettings
+from galen_model.rest.segments import PoseRecord, StillnessSettings
 from galen_model.rotation import matrix_to_rotvec
 from galen_ros.goal.arrival import ArrivalSettings, MotionTimeoutError, PoseRecorder
 from rich.progress import Progress

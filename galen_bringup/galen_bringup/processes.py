@@ -21,7 +21,7 @@ from typing import Any
 import rclpy
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 from galen_model.errors import GalenError
-from galen_model.load.nominal_tools import TOOLS
+from galen_model.load.model import TOOLS
 from galen_ros.node.spin import DomainLock
 from rclpy.signals import SignalHandlerOptions
 

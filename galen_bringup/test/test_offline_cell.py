@@ -10,8 +10,7 @@ from galen_calibration_behavior.calibration.procedure import CalibrationRequest
 from galen_calibration_behavior.commands import CalibrationState
 from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_model.load.identification import identify_two_sweeps
-from galen_model.load.model import Load, nominal_reading
-from galen_model.load.nominal_tools import ADAPTER, TOOLS
+from galen_model.load.model import ADAPTER, TOOLS, Load, nominal_reading
 from galen_sim_driver.plant.cell import Plant
 from galen_sim_driver.plant.config import PlantConfig
 from offline_cell import CellBag, OfflineCalibrationError, OfflineCell

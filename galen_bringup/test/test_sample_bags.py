@@ -14,7 +14,7 @@ from galen_calibration_behavior.calibrate_from_bag import main as calibrate_from
 from galen_model.arm.galen import SENSOR
 from galen_model.files.calibration_file import read_calibration
 from galen_model.load.inertia import point_mass_inertia
-from galen_model.load.nominal_tools import ADAPTER, TOOLS
+from galen_model.load.model import ADAPTER, TOOLS
 
 BAGS = Path(__file__).resolve().parents[2] / "bags"
 

@@ -19,8 +19,7 @@ from galen_model.files.calibration_file import check_tool_name
 from galen_model.load.drifting_identification import BiasMode
 from galen_model.load.mounting.mounting import GROUPS, entities
 from galen_model.poses.design import compensation_std, reading_noise
-from galen_model.poses.order import drift_share
-from galen_model.poses.plan import plan_as_is
+from galen_model.poses.plan import drift_share, plan_as_is
 from galen_ros.command import EXIT_OK, add_json, make_parser, positive, run_command
 from galen_ros.parameters import ParameterError, checked, param_fields
 

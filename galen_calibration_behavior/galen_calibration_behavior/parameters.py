@@ -10,12 +10,12 @@ from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.load.identification import check_planned_poses
 from galen_model.load.mounting.mounting import entities
-from galen_model.poses.order import SweepTimes
 from galen_model.poses.plan import (
     Surroundings,
     SweepGrid,
     SweepPlan,
     SweepRange,
+    SweepTimes,
     plan_as_is,
     plan_chosen,
 )

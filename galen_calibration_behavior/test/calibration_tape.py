@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 from galen_bags.arrays.arm_recording import ArmRecording
 from galen_model.arm.galen import ENCODER_QUANTUM, GALEN, SENSOR
-from galen_model.load.model import Load, gravity_wrench
-from galen_model.load.nominal_tools import ADAPTER, TOOLS
+from galen_model.load.model import ADAPTER, TOOLS, Load, gravity_wrench
 
 START_NS = 1_700_000_000_000_000_000
 NS = 1_000_000_000

@@ -15,8 +15,7 @@ from galen_model.files.calibration_file import (
     read_calibration,
     write_calibration,
 )
-from galen_model.load.model import Load, gravity_wrench
-from galen_model.load.nominal_tools import ADAPTER, TOOLS
+from galen_model.load.model import ADAPTER, TOOLS, Load, gravity_wrench
 
 AT = np.array([0.08, 0.0, 0.06])
 ANCHOR = np.array([0.35, 0.35, 0.9])

@@ -11,7 +11,7 @@ import pytest
 from galen_calibration_behavior.calibrate_from_bag import main, parse
 from galen_calibration_behavior.from_bag.loads import sample_time
 from galen_model.files.calibration_file import read_calibration
-from galen_model.load.nominal_tools import ADAPTER, TOOLS
+from galen_model.load.model import ADAPTER, TOOLS
 from galen_ros.command import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_USAGE
 
 BAGS = Path(__file__).resolve().parents[2] / "bags"

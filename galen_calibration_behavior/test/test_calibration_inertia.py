@@ -15,7 +15,7 @@ from galen_model.files.calibration_file import (
     write_calibration,
 )
 from galen_model.load.inertia import inertial_wrench, point_mass_inertia
-from galen_model.load.nominal_tools import ADAPTER, TOOLS
+from galen_model.load.model import ADAPTER, TOOLS
 from galen_ros.cdr import joint_state_bytes, wrench_bytes
 from galen_ros.command import EXIT_FAILED, EXIT_USAGE
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from calibration_fake_arm import FakeArm
 from galen_model.arm.galen import GALEN
-from galen_model.rest.pose import PoseRecord, StillnessSettings, wrench_fault
+from galen_model.rest.segments import PoseRecord, StillnessSettings, wrench_fault
 from galen_ros.goal.arrival import (
     ArrivalSettings,
     MotionTimeoutError,

@@ -9,8 +9,7 @@ from galen_calibration_behavior.from_bag.visits import find_visits
 from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
-from galen_model.load.model import Load, gravity_wrench
-from galen_model.load.nominal_tools import ADAPTER
+from galen_model.load.model import ADAPTER, Load, gravity_wrench
 
 PARAMETERS = CalibrationParameters()
 SETTINGS = PARAMETERS

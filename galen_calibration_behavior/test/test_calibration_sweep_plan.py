@@ -13,10 +13,14 @@ from galen_model.arm.clearance import ArmClearance, ObstacleError, boxes_from_nu
 from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError, NotExcitedError
 from galen_model.load.identification import plain_least_squares
-from galen_model.load.model import gravity_wrench
-from galen_model.load.nominal_tools import ADAPTER
-from galen_model.poses.order import drift_share, order_poses, quintic_duration_s
-from galen_model.poses.plan import SweepGrid, make_router
+from galen_model.load.model import ADAPTER, gravity_wrench
+from galen_model.poses.plan import (
+    SweepGrid,
+    drift_share,
+    make_router,
+    order_poses,
+    quintic_duration_s,
+)
 from galen_ros.parameters import ParameterError
 from test_calibration_procedure import World
 

@@ -9,9 +9,8 @@ from galen_calibration_behavior.from_bag.visits import find_visits
 from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
-from galen_model.load.model import gravity_wrench
-from galen_model.load.nominal_tools import ADAPTER
-from galen_model.rest.pose import PoseRecord
+from galen_model.load.model import ADAPTER, gravity_wrench
+from galen_model.rest.segments import PoseRecord
 from galen_ros.goal.arrival import PoseRejection
 
 SETTINGS = CalibrationParameters()

@@ -10,12 +10,10 @@ from galen_model.arm.galen import GALEN
 from galen_model.evidence.verdict import Cause, CheckAnswer
 from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
 from galen_model.load.cable import LearnedPull
-from galen_model.load.model import Load, gravity_wrench, nominal_reading
-from galen_model.load.nominal_tools import ADAPTER, TOOLS
+from galen_model.load.model import ADAPTER, TOOLS, Load, gravity_wrench, nominal_reading
 from galen_model.poses.design import PoseDesign, PoseDesignError
-from galen_model.poses.order import SweepTimes
-from galen_model.poses.plan import Surroundings
-from galen_model.rest.pose import PoseRecord
+from galen_model.poses.plan import Surroundings, SweepTimes
+from galen_model.rest.segments import PoseRecord
 
 from galen_msgs.action import CheckTool
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from galen_deflection.measurement.samples import DeflectionSamples
 from galen_deflection.models.springs import Springs, kinds
-from galen_model.load.nominal_tools import TOOLS
+from galen_model.load.model import TOOLS
 
 TIP_M = TOOLS["retractor"].tip_m
 NOISE = np.array([0.03e-3] * 3 + [0.1e-3] * 3)

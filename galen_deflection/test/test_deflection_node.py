@@ -17,7 +17,7 @@ from galen_model.files.calibration_file import (
     calibration_path,
     write_calibration,
 )
-from galen_model.load.nominal_tools import TOOLS
+from galen_model.load.model import TOOLS
 from galen_model.registration import Transform
 from galen_model.rotation import quaternion_to_matrix
 from galen_ros.messages import STREAM, fill_stamp, fill_wrench, stamp_to_ns

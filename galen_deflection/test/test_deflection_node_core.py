@@ -16,7 +16,7 @@ from galen_deflection.deflector import (
 )
 from galen_deflection.monitor import DeflectorMonitor
 from galen_model.arm.galen import GALEN
-from galen_model.load.nominal_tools import TOOLS
+from galen_model.load.model import TOOLS
 from galen_model.registration import Transform
 from galen_model.rotation import quaternion_to_matrix
 from galen_ros.stream.monitor import NOTICE_HOLD_S, Severity

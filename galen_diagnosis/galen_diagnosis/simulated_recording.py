@@ -33,7 +33,7 @@ from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import CalibrationFile, LoadEstimate, write_calibration
 from galen_model.load.model import Load
-from galen_model.poses.order import quintic_duration_s
+from galen_model.poses.plan import quintic_duration_s
 from galen_ros.cdr import joint_state_bytes, pose_bytes, wrench_bytes
 from galen_ros.command import EXIT_OK, make_parser, run_command, writing
 from galen_sim_driver.effects.effect import BAG_ORDER, Effect
@@ -248,11 +248,11 @@ class _Tape:
             late_ns = stamp_ns + self._plant.wrench_delay_ns
             bag.write(self._wrench_raw, late_ns, self._wrench.fill(late_ns, sample.wrench))
         seen = sample.tracker
-        if self._markers and seen is not None and seen.tool is not None:
+        if self._markers and seen is not None and seen[0] is not None:
             late_ns = stamp_ns + self._plant.tracker_delay_ns
-            for topic, marker in zip(self._markers, (seen.tool, seen.base), strict=True):
-                pose = self._pose.fill(late_ns, list(marker.position_m), list(marker.quaternion))
-                bag.write(topic, late_ns, pose)
+            for topic, marker in zip(self._markers, (seen[0], seen[1]), strict=True):
+                position, turn = marker
+                bag.write(topic, late_ns, self._pose.fill(late_ns, list(position), list(turn)))
 
 
 def _move_s(start: Array, end: Array) -> float:

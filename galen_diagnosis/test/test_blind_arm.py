@@ -27,8 +27,7 @@ from galen_model.arm.arm import Arm, Joint
 from galen_model.arm.galen import GALEN, SENSOR
 from galen_model.errors import GalenError
 from galen_model.load.inertia import inertial_wrench
-from galen_model.load.model import Load
-from galen_model.load.nominal_tools import ToolGeometry
+from galen_model.load.model import Load, ToolGeometry
 from galen_model.rotation import matrix_to_rotvec
 from galen_sim_driver.effects.registry import effect_from
 from galen_sim_driver.replay import Replay, Scene

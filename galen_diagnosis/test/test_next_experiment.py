@@ -27,7 +27,7 @@ from galen_diagnosis.experiment.trial import (
 from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
-from galen_model.load.nominal_tools import ADAPTER, TOOLS
+from galen_model.load.model import ADAPTER, TOOLS
 from galen_model.poses.design import angle_grid
 from galen_sim_driver.effects.registry import EFFECTS
 from scipy.integrate import quad

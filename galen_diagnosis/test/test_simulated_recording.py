@@ -10,7 +10,7 @@ from galen_diagnosis.observation.recording import DiagnosticRecording, read_reco
 from galen_diagnosis.simulated_recording import main, make_recording, sweep_poses
 from galen_model.arm.galen import SENSOR, TRACKER_POSITION_NOISE_M
 from galen_model.errors import GalenError
-from galen_model.load.nominal_tools import TOOLS
+from galen_model.load.model import TOOLS
 from galen_model.rotation import rotvec_to_matrix
 from galen_sim_driver.effects.joints import JointGain
 from galen_sim_driver.effects.load import InertialLoad

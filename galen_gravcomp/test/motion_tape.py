@@ -3,8 +3,8 @@
 import calibration_files
 import numpy as np
 import pinocchio
+from galen_model.arm.description import PinocchioArm
 from galen_model.arm.galen import ENCODER_QUANTUM, GALEN, SENSOR
-from galen_model.arm.pinocchio_arm import PinocchioArm
 from galen_model.load.inertia import InertiaEstimate, inertia_matrix, point_mass_inertia
 from galen_model.load.model import Load, gravity_wrench
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
-from galen_model.load.nominal_tools import ADAPTER, TOOLS
+from galen_model.load.model import ADAPTER, TOOLS
 
 COVARIANCE = np.diag([1e-8, 1e-9, 1e-9, 1e-9])
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from galen_model.arm.description import PinocchioArm
 from galen_model.arm.galen import GALEN, GRAVITY_M_S2
-from galen_model.arm.pinocchio_arm import PinocchioArm
 from galen_model.files.calibration_file import LoadEstimate
 from galen_model.load.frames import (
     FrameError,

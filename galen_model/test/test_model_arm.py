@@ -13,8 +13,7 @@ from galen_model.arm.galen import (
     TRACKER_POSITION_NOISE_M,
     TRACKER_ROTATION_NOISE_RAD,
 )
-from galen_model.load.model import nominal_reading
-from galen_model.load.nominal_tools import ADAPTER, TOOLS
+from galen_model.load.model import ADAPTER, TOOLS, nominal_reading
 
 
 def test_geometry_and_stiffness():

@@ -14,8 +14,14 @@ from galen_model.load.drifting_identification import (
     identify_two_sweeps_drifting,
 )
 from galen_model.load.identification import StillPoses, identify_single_load, identify_two_sweeps
-from galen_model.load.model import Load, gravity_regressor, gravity_wrench, nominal_reading
-from galen_model.load.nominal_tools import ADAPTER, TOOLS
+from galen_model.load.model import (
+    ADAPTER,
+    TOOLS,
+    Load,
+    gravity_regressor,
+    gravity_wrench,
+    nominal_reading,
+)
 
 SIGMA = np.array([0.02, 0.02, 0.03, 4e-4, 4e-4, 4e-4]) / np.sqrt(125)
 TOOL = TOOLS["retractor"].load

@@ -13,8 +13,14 @@ from galen_model.load.identification import (
     identify_two_sweeps,
     plain_least_squares,
 )
-from galen_model.load.model import Load, gravity_regressor, gravity_wrench, nominal_reading
-from galen_model.load.nominal_tools import ADAPTER, TOOLS
+from galen_model.load.model import (
+    ADAPTER,
+    TOOLS,
+    Load,
+    gravity_regressor,
+    gravity_wrench,
+    nominal_reading,
+)
 
 SIGMA = np.array([0.02, 0.02, 0.03, 4e-4, 4e-4, 4e-4]) / np.sqrt(125)
 NO_TOOL = Load(0.0)

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from galen_model.arm.description import PinocchioArm
 from galen_model.arm.galen import GALEN
-from galen_model.arm.pinocchio_arm import PinocchioArm
 from galen_model.errors import KinematicsError
 
 TIP = np.array([0.18, 0.01, 0.05])

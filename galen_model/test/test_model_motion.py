@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pinocchio
 import pytest
+from galen_model.arm.description import PinocchioArm
 from galen_model.arm.galen import GALEN
-from galen_model.arm.pinocchio_arm import PinocchioArm
 from galen_model.arm.sensor_motion import MotionOfSensor, sensor_motion
 from galen_model.errors import CalibrationFileError
 from galen_model.files.calibration_file import (

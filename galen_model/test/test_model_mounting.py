@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from galen_model.arm.pinocchio_arm import PinocchioArm
+from galen_model.arm.description import PinocchioArm
 from galen_model.errors import IdentificationError, NotExcitedError
 from galen_model.evidence.block_gain import MOUNTED, ROBUST
 from galen_model.files.calibration_file import (
@@ -16,7 +16,7 @@ from galen_model.files.calibration_file import (
 )
 from galen_model.files.json_fields import FieldError
 from galen_model.load.identification import StillPoses
-from galen_model.load.model import Load
+from galen_model.load.model import ADAPTER, TOOLS, Load
 from galen_model.load.mounting.identification import (
     Calibrated,
     KnownLoad,
@@ -28,7 +28,6 @@ from galen_model.load.mounting.identification import (
 )
 from galen_model.load.mounting.mounting import GROUPS, PARAMETERS, Mounting, entities
 from galen_model.load.mounting.reading_model import JointPoses, MountedSweep, ReadingModel
-from galen_model.load.nominal_tools import ADAPTER, TOOLS
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 

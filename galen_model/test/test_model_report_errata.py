@@ -7,8 +7,7 @@ one; R0 at home; f_t, f_b weights in the base-parallel frame; p_t, p_b centres i
 import numpy as np
 import pytest
 from galen_model.arm.galen import GALEN, GRAVITY_M_S2
-from galen_model.load.model import nominal_reading
-from galen_model.load.nominal_tools import ADAPTER, TOOLS
+from galen_model.load.model import ADAPTER, TOOLS, nominal_reading
 from galen_model.rotation import skew
 
 MESH = np.meshgrid(np.linspace(-1.5, 1.5, 8), np.linspace(-1, 0.9, 7))

@@ -11,8 +11,7 @@ from galen_model.files.calibration_file import (
     read_calibration,
     write_calibration,
 )
-from galen_model.load.model import Load, nominal_reading
-from galen_model.load.nominal_tools import ADAPTER, TOOLS
+from galen_model.load.model import ADAPTER, TOOLS, Load, nominal_reading
 from model_files import calibration
 
 

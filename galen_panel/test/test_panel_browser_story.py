@@ -8,7 +8,7 @@ import pytest
 import rclpy
 from browser_look import COMPENSATED, RAW, force_rms, rows
 from galen_model.files.calibration_file import calibration_path, read_calibration
-from galen_model.load.nominal_tools import TOOLS
+from galen_model.load.model import TOOLS
 from panel_processes import PanelWorld
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor

@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 from galen_model.arm.galen import GALEN, SENSOR
 from galen_model.files.calibration_file import check_tool_name
-from galen_model.load.model import Load
-from galen_model.load.nominal_tools import ADAPTER, TOOLS, ToolGeometry
+from galen_model.load.model import ADAPTER, TOOLS, Load, ToolGeometry
 from galen_ros.parameters import ParameterError, param, param_fields
 
 from galen_sim_driver.effects.effect import ConfigError, Effect
@@ -189,14 +188,6 @@ def _names(effect: Effect) -> dict[str, str]:
     }
 
 
-class _Checked:
-    """Base of the parameters' dataclass."""
-
-    def validate(self) -> None:
-        """Raise ParameterError or ConfigError, naming the parameter."""
-        effects_of(self)
-
-
 def _fields() -> list[tuple[str, Any, Any]]:
     found = []
     for effect in IDENTITIES.values():
@@ -212,8 +203,7 @@ def _fields() -> list[tuple[str, Any, Any]]:
 EffectParameters: type[Any] = dataclasses.make_dataclass(
     "EffectParameters",
     _fields(),
-    bases=(_Checked,),
-    namespace={"__module__": __name__},
+    namespace={"__module__": __name__, "validate": lambda self: effects_of(self) and None},
     frozen=True,
 )
 """All effects' parameters, as `galen_ros.node.parameters.declare_parameters` takes them."""

@@ -22,8 +22,7 @@ from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN
 from galen_model.arm.sensor_motion import SensorMotion, sensor_motion
 from galen_model.arrays import Array
-from galen_model.load.model import Load
-from galen_model.load.nominal_tools import ToolGeometry
+from galen_model.load.model import Load, ToolGeometry
 from galen_model.registration import move_wrench
 from galen_model.rotation import rotvec_to_matrix
 from scipy.signal import savgol_filter

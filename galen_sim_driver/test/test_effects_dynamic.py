@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from galen_model.arm.galen import GALEN
-from galen_model.load.nominal_tools import ADAPTER, TOOLS
+from galen_model.load.model import ADAPTER, TOOLS
 from galen_model.rotation import matrix_to_rotvec, rotvec_to_matrix
 from galen_sim_driver.effects.effect import ConfigError, Instants, Loading, Posture
 from galen_sim_driver.effects.hysteresis import DeflectionHysteresis, turning_points

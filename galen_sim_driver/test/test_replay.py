@@ -6,11 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pinocchio
 import pytest
+from galen_model.arm.description import PinocchioArm
 from galen_model.arm.galen import GALEN, GRAVITY_M_S2, SENSOR_FRAME
-from galen_model.arm.pinocchio_arm import PinocchioArm
 from galen_model.errors import GalenError
-from galen_model.load.model import Load, gravity_wrench, nominal_reading
-from galen_model.load.nominal_tools import ADAPTER, TOOLS
+from galen_model.load.model import ADAPTER, TOOLS, Load, gravity_wrench, nominal_reading
 from galen_sim_driver.effects.joints import (
     BaseInclination,
     JointAxisMisalignment,

@@ -5,11 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pinocchio
 import pytest
+from galen_model.arm.description import PinocchioArm
 from galen_model.arm.galen import GALEN, GRAVITY_M_S2, SENSOR, SENSOR_FRAME
-from galen_model.arm.pinocchio_arm import PinocchioArm
 from galen_model.arm.sensor_motion import sensor_motion
-from galen_model.load.model import Load
-from galen_model.load.nominal_tools import ADAPTER, TOOLS
+from galen_model.load.model import ADAPTER, TOOLS, Load
 from galen_sim_driver.effects.effect import Instants, Posture
 from galen_sim_driver.effects.load import CableDrag, InertialLoad, LooseTool
 from galen_sim_driver.effects.sensor import SensorDrift

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from galen_model.arm.galen import GALEN
-from galen_model.load.nominal_tools import TOOLS
+from galen_model.load.model import TOOLS
 from galen_sim_driver.effects.hysteresis import (
     joint_columns,
     load_of,

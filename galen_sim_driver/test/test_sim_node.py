@@ -10,8 +10,7 @@ import pytest
 from builtin_interfaces.msg import Duration
 from diagnostic_msgs.msg import DiagnosticArray
 from galen_model.arm.galen import GALEN, SENSOR
-from galen_model.load.model import Load, nominal_reading
-from galen_model.load.nominal_tools import ADAPTER, TOOLS
+from galen_model.load.model import ADAPTER, TOOLS, Load, nominal_reading
 from galen_ros.messages import (
     LATCHED,
     STREAM,

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from galen_model.arm.galen import ENCODER_QUANTUM, GALEN, SENSOR
-from galen_model.load.model import Load, nominal_reading
-from galen_model.load.nominal_tools import ADAPTER, TOOLS, ToolGeometry
+from galen_model.load.model import ADAPTER, TOOLS, Load, ToolGeometry, nominal_reading
 from galen_model.registration import move_wrench
 from galen_sim_driver.effects.effect import ConfigError
 from galen_sim_driver.plant.cell import Plant

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from galen_model.arm.galen import GALEN
-from galen_model.load.nominal_tools import TOOLS
+from galen_model.load.model import TOOLS
 from galen_model.registration import move_wrench
 from galen_model.rotation import matrix_to_rotvec, quaternion_to_matrix, rotvec_to_matrix
 from galen_sim_driver.plant.cell import Plant
@@ -49,7 +49,8 @@ def of_pose(pose):
 
 
 def of_marker(marker):
-    return transform(marker.position_m, quaternion_to_matrix(marker.quaternion))
+    position, turn = marker
+    return transform(position, quaternion_to_matrix(turn))
 
 
 def test_markers_are_where_the_configuration_puts_them():

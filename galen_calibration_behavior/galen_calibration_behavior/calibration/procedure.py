@@ -23,7 +23,7 @@ from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arm.routes import Router
 from galen_model.arrays import Array
 from galen_model.load.identification import StillPoses
-from galen_model.rest.pose import PoseRecord
+from galen_model.rest.segments import PoseRecord
 from galen_ros.goal.arrival import PoseRejection
 from galen_ros.goal.procedure import PoseProcedure
 

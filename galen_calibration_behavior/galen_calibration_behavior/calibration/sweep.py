@@ -9,7 +9,7 @@ import numpy as np
 from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
-from galen_model.rest.pose import PoseRecord, StillnessSettings, wrench_fault
+from galen_model.rest.segments import PoseRecord, StillnessSettings, wrench_fault
 from galen_ros.goal.arrival import PoseRejection
 
 

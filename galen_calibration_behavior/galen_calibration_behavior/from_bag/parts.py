@@ -34,7 +34,7 @@ from galen_model.load.inertia_identification import (
     motion_record,
     total_moments,
 )
-from galen_model.rest.pose import PoseRecord
+from galen_model.rest.segments import PoseRecord
 from galen_ros.command import terminal
 
 from galen_calibration_behavior.calibration.estimate import check_writable

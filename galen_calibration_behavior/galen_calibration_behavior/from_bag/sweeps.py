@@ -20,7 +20,7 @@ from galen_model.arm.arm import Arm
 from galen_model.arrays import Array
 from galen_model.errors import GalenError, IdentificationError
 from galen_model.load.identification import MIN_POSES, StillPoses
-from galen_model.rest.pose import PoseRecord, wrench_fault
+from galen_model.rest.segments import PoseRecord, wrench_fault
 from galen_ros.goal.arrival import NS, PoseRejection
 from numpy.typing import ArrayLike
 

@@ -54,7 +54,7 @@ from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.model import gravity_regressor, gravity_wrench
 from galen_model.load.mounting.mounting import Mounting
 from galen_model.poses.design import workspace
-from galen_model.rest.pose import PoseRecord
+from galen_model.rest.segments import PoseRecord
 from scipy.optimize import brentq
 
 from galen_calibration_behavior.calibration.sweep import stack

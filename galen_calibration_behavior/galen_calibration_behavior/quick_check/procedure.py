@@ -7,7 +7,7 @@ A cancel, an error and time are as in `galen_ros.goal.procedure`; the arm then s
 The poses are those of a small grid around the present one that make the compensation's error,
 mean over the arm's range, best known (`galen_model.poses.design`, goal "compensation"): just what
 the check has to judge. They are visited in the order that is shortest and on which a drift does
-not look like a load (`pose_order`). Around boxes the arm goes within that grid, too.
+not look like a load (`order_poses`). Around boxes the arm goes within that grid, too.
 """
 
 from __future__ import annotations
@@ -23,9 +23,8 @@ from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import CalibrationFile
-from galen_model.poses.order import SweepTimes
-from galen_model.poses.plan import Surroundings, SweepPlan, SweepRange, plan_chosen
-from galen_model.rest.pose import PoseRecord
+from galen_model.poses.plan import Surroundings, SweepPlan, SweepRange, SweepTimes, plan_chosen
+from galen_model.rest.segments import PoseRecord
 from galen_ros.goal.arrival import PoseRejection
 from galen_ros.goal.procedure import PoseProcedure
 

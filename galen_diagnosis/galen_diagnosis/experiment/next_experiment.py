@@ -26,8 +26,7 @@ from galen_model.files.atomic_file import write_whole
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.identification import check_planned_poses
 from galen_model.poses.design import PoseDesign, PoseDesignError
-from galen_model.poses.order import SweepTimes, order_poses
-from galen_model.poses.plan import SweepRange
+from galen_model.poses.plan import SweepRange, SweepTimes, order_poses
 from galen_ros.command import writing
 from galen_ros.goal.parameters import MotionParameters
 

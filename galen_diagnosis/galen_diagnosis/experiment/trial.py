@@ -23,8 +23,7 @@ from galen_model.arm.galen import (
 from galen_model.arrays import Array
 from galen_model.evidence.columns import moment_covariance
 from galen_model.files.calibration_file import CalibrationFile
-from galen_model.load.model import Load, gravity_regressor
-from galen_model.load.nominal_tools import ToolGeometry
+from galen_model.load.model import Load, ToolGeometry, gravity_regressor
 from galen_model.rotation import matrix_to_rotvec, skew
 from galen_sim_driver.effects.effect import Effect, Fitted, Instants, Posture
 from galen_sim_driver.replay import Replay, Scene

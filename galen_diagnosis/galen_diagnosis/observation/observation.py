@@ -19,7 +19,7 @@ import numpy as np
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
-from galen_model.load.nominal_tools import ToolGeometry
+from galen_model.load.model import ToolGeometry
 from galen_model.registration import Transform, solve_base
 from galen_model.rotation import matrix_to_rotvec, rotvec_to_matrix
 from galen_sim_driver.effects.effect import Effect

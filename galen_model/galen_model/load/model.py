@@ -10,6 +10,8 @@ which is linear in (m, h) with the first moment h = m p:  tau = h x (R^T g) = -(
 
 Source: the 2019 report's section 2.3 as corrected for its eqs. (3) and (7): the zeroing happened
 at q_zero, so its term holds R(q_zero) on both sides.
+
+The simulator starts with the two tools and the adapter at the end.
 """
 
 from dataclasses import dataclass, field
@@ -67,3 +69,24 @@ def nominal_reading(
     gravity = arm.gravity_in_sensor(angles)
     at_zero = gravity_wrench(arm.gravity_in_sensor(zero_angles), adapter)
     return gravity_wrench(gravity, tool) + gravity_wrench(gravity, adapter) - at_zero
+
+
+@dataclass(frozen=True)
+class ToolGeometry:
+    """A tool's load and its tip (3,) in ft_sensor, m."""
+
+    load: Load
+    tip_m: Array
+
+
+ADAPTER = Load(0.100, np.array([0.0, 0.0, 0.020]))
+"""The bias load: what stays on the sensor when no tool is on."""
+
+TOOLS = {
+    "pointer": ToolGeometry(
+        Load(0.060, np.array([0.055, 0.002, 0.045])), np.array([0.150, 0.0, 0.050])
+    ),
+    "retractor": ToolGeometry(
+        Load(0.200, np.array([0.070, -0.010, 0.055])), np.array([0.180, 0.010, 0.050])
+    ),
+}

@@ -15,7 +15,7 @@ from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN, WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
-from galen_model.rest.pose import (
+from galen_model.rest.segments import (
     PoseRecord,
     StillnessSettings,
     average_pose,

@@ -17,8 +17,8 @@ import numpy as np
 from galen_model.arm.clearance import ObstacleError
 from galen_model.arm.routes import Router
 from galen_model.arrays import Array
-from galen_model.poses.order import quintic_duration_s
-from galen_model.rest.pose import PoseRecord
+from galen_model.poses.plan import quintic_duration_s
+from galen_model.rest.segments import PoseRecord
 
 from galen_ros.goal.arrival import (
     NS,

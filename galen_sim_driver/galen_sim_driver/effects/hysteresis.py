@@ -76,7 +76,7 @@ import numpy as np
 from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
-from galen_model.load.nominal_tools import TOOLS
+from galen_model.load.model import TOOLS
 from galen_model.registration import move_twist
 from galen_ros.parameters import param
 from numpy.typing import ArrayLike

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_model.load.nominal_tools import ToolGeometry
+from galen_model.load.model import ToolGeometry
 
 from galen_sim_driver.plant.config import (
     ACCELERATION,
@@ -36,7 +36,7 @@ from galen_sim_driver.plant.motion import (
     TrajectoryPoint,
     check_trajectory,
 )
-from galen_sim_driver.plant.sensors import ForceTorqueSensor, Tracker, TrackerSample, Zeroing
+from galen_sim_driver.plant.sensors import ForceTorqueSensor, MarkerPose, Tracker, Zeroing
 
 
 class Sample(NamedTuple):
@@ -52,8 +52,8 @@ class Sample(NamedTuple):
     """Differences of the encoders' positions over the velocity window."""
     wrench: list[float]
     """The reading, in ft_sensor."""
-    tracker: TrackerSample | None
-    """At the tracker's own rate, else None."""
+    tracker: tuple[MarkerPose | None, MarkerPose] | None
+    """The tool's marker, None without a tool, and the base's; at the tracker's own rate."""
 
 
 class Plant:
@@ -320,7 +320,9 @@ class Plant:
             for value, step in zip(joints, self._config.encoder_quantum, strict=True)
         ]
 
-    def _look(self, now: ArmNow, touch: Sequence[float] | None) -> TrackerSample:
+    def _look(
+        self, now: ArmNow, touch: Sequence[float] | None
+    ) -> tuple[MarkerPose | None, MarkerPose]:
         effects = self._effects
         if not self.tool:
             return self._tracker.sample(None, None, effects.seen, effects.base_shift())

@@ -17,8 +17,7 @@ from galen_model.arm.galen import (
     SensorParameters,
 )
 from galen_model.errors import GalenError
-from galen_model.load.model import Load
-from galen_model.load.nominal_tools import ADAPTER, TOOLS, ToolGeometry
+from galen_model.load.model import ADAPTER, TOOLS, Load, ToolGeometry
 
 from galen_sim_driver.effects.effect import ConfigError, Effect
 

@@ -13,8 +13,7 @@ import numpy as np
 from galen_model.arm.arm import Arm
 from galen_model.arm.sensor_motion import MotionOfSensor, SensorMotion
 from galen_model.arrays import Array
-from galen_model.load.model import Load, gravity_wrench
-from galen_model.load.nominal_tools import ToolGeometry
+from galen_model.load.model import Load, ToolGeometry, gravity_wrench
 from galen_model.rotation import matrix_to_quaternion
 
 from galen_sim_driver.effects.effect import (
@@ -172,11 +171,11 @@ class PlantEffects:
         """Return a marker as the tracker measures it, but for noise."""
         if not self._seers:
             return pose
-        position = np.array([pose.position_m])
+        position, turn = np.array([pose[0]]), pose[1]
         for effect in self._seers:
             position = effect.seen(self._when, position)
         x, y, z = position[0].tolist()
-        return MarkerPose((x, y, z), pose.quaternion)
+        return (x, y, z), turn
 
     def base_shift(self) -> list[float] | None:
         """Return the base marker's displacement in base_link (6,); None without an effect on it."""
