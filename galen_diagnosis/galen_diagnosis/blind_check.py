@@ -43,10 +43,9 @@ from galen_diagnosis.blind.blind_protocol import (
 )
 from galen_diagnosis.blind.case import generate
 from galen_diagnosis.blind.labels import forget, private_directory
-from galen_diagnosis.blind.making import Generate, Planned, full_plan, short_plan
+from galen_diagnosis.blind.making import Generate, Plan, full_plan, short_plan
 from galen_diagnosis.blind.mujoco_arm import require_mujoco
-from galen_diagnosis.blind.score import Answered, Score, score, wrong_answers
-from galen_diagnosis.blind.table import PROGRAM, markdown
+from galen_diagnosis.blind.score import PROGRAM, Answered, Score, markdown, score, wrong_answers
 from galen_diagnosis.effects.candidates import SOUGHT
 
 _NOTES = """An interrupted check goes on where it stopped, if it is called again with the same
@@ -125,7 +124,7 @@ def run(
         "per_class": None if arguments.short else arguments.per_class,
     }
 
-    def plan(seed: int) -> list[Planned]:
+    def plan(seed: int) -> Plan:
         return short_plan(seed) if arguments.short else full_plan(seed, arguments.per_class)
 
     started_s = time.monotonic()

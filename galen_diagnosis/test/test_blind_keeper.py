@@ -147,18 +147,18 @@ def test_recordings_tell_nothing_by_their_names_order_and_times(tmp_path):
 def test_plans():
     plan = full_plan(5, 2)
     assert plan == full_plan(5, 2) != full_plan(6, 2)
-    kinds = [one.case.kind for one in plan]
-    singles = [(p.case.effects, p.case.strength) for p in plan if p.case.kind == "single"]
+    kinds = [case.kind for case in plan.values()]
+    singles = [(c.effects, c.strength) for c in plan.values() if c.kind == "single"]
     assert len(singles) == 2 * 23 * 3
     assert set(singles) == {((effect,), strength) for effect in EFFECTS for strength in STRENGTHS}
     assert kinds.count("none") == 40
-    asked = {p.case.effects[0] for p in plan if p.case.kind == TEST}
+    asked = {case.effects[0] for case in plan.values() if case.kind == TEST}
     other = full_plan(5, 1, unknown=CALIBRATION)
-    trained = {p.case.effects[0] for p in other if p.case.kind == CALIBRATION}
+    trained = {case.effects[0] for case in other.values() if case.kind == CALIBRATION}
     assert asked == set(TEST_UNKNOWN) and trained == set(CALIBRATION_UNKNOWN)
     assert not asked & trained
-    assert len({one.case.seed for one in plan}) == len(plan)
-    assert {one.case.kind for one in short_plan(1)} == {"none", "single", "pair", TEST}
+    assert len({case.seed for case in plan.values()}) == len(plan)
+    assert {case.kind for case in short_plan(1).values()} == {"none", "single", "pair", TEST}
 
 
 def test_a_changed_label_or_recording_does_not_open(tmp_path):
@@ -211,7 +211,9 @@ def test_an_interrupted_check_goes_on(tmp_path, monkeypatch):
         return fake_generate(case, directory)
 
     blind_check.run(arguments("--short", "--seed", "7"), output, PROBE, goes_on)
-    assert sorted(case.seed for case in made) == sorted(p.case.seed for p in short_plan(7))
+    assert sorted(case.seed for case in made) == sorted(
+        case.seed for case in short_plan(7).values()
+    )
     told = json.loads((output / "commitment.json").read_text())["labels_sha256"]
     answers = sorted((output / "answers").glob("*/diagnosis.json"))
     stamps = [path.stat().st_mtime_ns for path in answers]

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from galen_diagnosis.blind.labels import Label, ParsedAnswer, label_from_json, parse_answer
 from galen_diagnosis.blind.rates import Rate, calibration, compare
-from galen_diagnosis.blind.score import Answered, score, wrong_answers
-from galen_diagnosis.blind.table import markdown
+from galen_diagnosis.blind.score import Answered, markdown, score, wrong_answers
 from galen_model.files.json_fields import FieldError
 
 EFFECTS = ("alpha", "beta", "gamma")

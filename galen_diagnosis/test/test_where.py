@@ -100,7 +100,7 @@ def test_an_error_of_one_direction_lies_in_it():
     residual[(ROWS.regime == back) & (ROWS.channel == 1)] += 4.0
     assert localize(ROWS, residual)["regimes"]["moving-"] > 0.9
     view = by_regime_of_bag(ROWS)
-    marked = np.flatnonzero(cell_scores(ROWS, residual, view).p < LEVEL)
+    marked = np.flatnonzero(cell_scores(ROWS, residual, view)[2] < LEVEL)
     assert [view.details[k] for k in marked] == [
         {"channel": "fy", "bag": "motion", "regime": "moving-"}
     ]

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import Literal
 
 Vector = tuple[float, ...]
 
@@ -30,11 +31,8 @@ class BehaviourKind(Enum):
     COLLECT = "collect_pushes"
 
 
-class Asked(Enum):
-    """A person's step that a behaviour waits for."""
-
-    REMOVE_TOOL = "remove_tool"
-    ATTACH_TOOL = "attach_tool"
+Asked = Literal["REMOVE_TOOL", "ATTACH_TOOL"]
+"""A person's step that a behaviour waits for: the name of its state."""
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,6 @@ from dataclasses import replace
 import pytest
 from fake_suite import ACTIVE, ALL, POINTER, RETRACTOR, FakeSuite
 from galen_panel.snapshot import (
-    Asked,
     Behaviour,
     BehaviourKind,
     BehaviourOutcome,
@@ -157,12 +156,12 @@ async def test_progress_is_followed_and_cancel_is_there(user, suite):
     assert user.get("calibrate").enabled
 
 
-@page_test(behaviours={BehaviourKind.CALIBRATE: replace(CALIBRATING, asked=Asked.REMOVE_TOOL)})
+@page_test(behaviours={BehaviourKind.CALIBRATE: replace(CALIBRATING, asked="REMOVE_TOOL")})
 async def test_a_person_is_asked_and_answers(user, suite):
     assert user.text("asked") == "Take the tool off, then press."
     user.click("confirm")
     await user.until(lambda: suite.calls == [("confirm",)])
-    suite.put(behaviours={BehaviourKind.CALIBRATE: replace(CALIBRATING, asked=Asked.ATTACH_TOOL)})
+    suite.put(behaviours={BehaviourKind.CALIBRATE: replace(CALIBRATING, asked="ATTACH_TOOL")})
     await user.until(lambda: user.text("asked") == "Put retractor on, then press.")
     assert user.text("confirm") == "The tool is on"
     suite.put(behaviours={BehaviourKind.CALIBRATE: CALIBRATING})

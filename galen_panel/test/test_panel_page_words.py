@@ -7,7 +7,8 @@ import pytest
 from fake_suite import ACTIVE, ALL, POINTER, RETRACTOR
 from galen_panel.messages import programs, texts
 from galen_panel.page.layout import count
-from galen_panel.page.outcome import Fate, fate, left_out, sentence_of, title_and_level
+from galen_panel.page.outcome import ACTIVE as KEPT
+from galen_panel.page.outcome import HERE, REPLACED, fate, left_out, sentence_of, title_and_level
 from galen_panel.snapshot import (
     Behaviour,
     BehaviourKind,
@@ -111,16 +112,16 @@ WRITTEN = BehaviourOutcome("", "done", "retractor", values=VALUES)
 
 def test_a_calibrations_file_is_known_by_what_is_in_it():
     state = SuiteState(tools=(POINTER, RETRACTOR), active_tool=ACTIVE)
-    assert fate(WRITTEN, state) is Fate.HERE
+    assert fate(WRITTEN, state) == HERE
     other = replace(RETRACTOR, mass_kg=0.2 + 1e-6)
-    assert fate(WRITTEN, replace(state, tools=(other,))) is Fate.REPLACED
-    assert fate(WRITTEN, replace(state, tools=None)) is Fate.REPLACED
+    assert fate(WRITTEN, replace(state, tools=(other,))) == REPLACED
+    assert fate(WRITTEN, replace(state, tools=None)) == REPLACED
     broken = replace(RETRACTOR, problem="cut off")
-    assert fate(WRITTEN, replace(state, tools=(broken,))) is Fate.REPLACED
+    assert fate(WRITTEN, replace(state, tools=(broken,))) == REPLACED
     old = replace(ACTIVE, tool="retractor", mass_kg=0.1999, com_m=RETRACTOR.com_m)
-    assert fate(WRITTEN, replace(state, active_tool=old)) is Fate.HERE
+    assert fate(WRITTEN, replace(state, active_tool=old)) == HERE
     new = replace(old, mass_kg=0.2)
-    assert fate(WRITTEN, replace(state, active_tool=new)) is Fate.ACTIVE
+    assert fate(WRITTEN, replace(state, active_tool=new)) == KEPT
 
 
 def test_a_checks_sentence_has_no_command_for_a_terminal():

@@ -61,15 +61,6 @@ class View:
     cell: np.ndarray
 
 
-@dataclass(frozen=True)
-class CellScores:
-    """A view's K cells: share of the excess, mean square over the floor, corrected p-value."""
-
-    share: Array
-    ratio: Array
-    p: Array
-
-
 def localize(
     rows: ResidualRows, residual: Array, floor: float = 1.0, healthy: Array | None = None
 ) -> dict[str, Any]:
@@ -90,15 +81,15 @@ def localize(
         ("regimes", rows.regime, REGIMES),
     ):
         view = _by_names(index, names)
-        of = cell_scores(rows, residual, view, floor, healthy)
-        found[name] = _numbers(view, of.share)
-        found["p"][name] = _numbers(view, of.p)
-        found["ratio"][name] = _numbers(view, of.ratio)
+        share, ratio, p = cell_scores(rows, residual, view, floor, healthy)
+        found[name] = _numbers(view, share)
+        found["p"][name] = _numbers(view, p)
+        found["ratio"][name] = _numbers(view, ratio)
     poses = by_pose(rows)
-    of = cell_scores(rows, residual, poses, floor, healthy)
+    scores = cell_scores(rows, residual, poses, floor, healthy)
     found["poses"] = [
         {**detail, "share": _rounded(share), "ratio": _rounded(ratio), "p": _rounded(p)}
-        for detail, share, ratio, p in zip(poses.details, of.share, of.ratio, of.p, strict=True)
+        for detail, share, ratio, p in zip(poses.details, *scores, strict=True)
     ]
     return found
 
@@ -109,8 +100,11 @@ def cell_scores(
     view: View,
     floor: float = 1.0,
     healthy: Array | None = None,
-) -> CellScores:
-    """Test a view's cells on whitened residuals (N,); arguments as `localize` has them."""
+) -> tuple[Array, Array, Array]:
+    """Test a view's K cells on whitened residuals (N,); arguments as `localize` has them.
+
+    Returns share of the excess, mean square over the floor, corrected p-value, each (K,).
+    """
     energy = residual**2 / floor
     off = None if healthy is None else healthy[view.row] / np.sqrt(floor)
     ratio, excess, p = compare_cells(
@@ -123,8 +117,8 @@ def cell_scores(
     )
     over = np.maximum(excess, 0.0)
     if not len(over) or p.min() >= LEVEL:
-        return CellScores(np.zeros_like(over), ratio, p)
-    return CellScores(over / over.sum(), ratio, p)
+        return np.zeros_like(over), ratio, p
+    return over / over.sum(), ratio, p
 
 
 def _numbers(view: View, values: Array) -> dict[str, float]:

@@ -47,7 +47,7 @@ from galen_diagnosis.blind.labels import (
     sealed,
     write_sealed,
 )
-from galen_diagnosis.blind.making import Generate, Planned, make_all
+from galen_diagnosis.blind.making import Generate, Plan, make_all
 from galen_diagnosis.blind.score import Answered
 
 _LARGEST_JSON = 50_000_000
@@ -74,7 +74,7 @@ def sealed_set(
     places: Places,
     wanted: dict[str, Any],
     seed: int | None,
-    plan: Callable[[int], list[Planned]],
+    plan: Callable[[int], Plan],
     workers: int | None,
     generate: Generate = generate,
 ) -> str:

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import struct
 import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -30,15 +31,6 @@ _READ_FILE, _READ_DIR = 1 << 2, 1 << 3
 _NO_NEW_PRIVILEGES = 38
 
 
-class _Ruleset(ctypes.Structure):
-    _fields_ = (("handled_access_fs", ctypes.c_uint64),)
-
-
-class _PathBeneath(ctypes.Structure):
-    _pack_ = 1
-    _fields_ = (("allowed_access", ctypes.c_uint64), ("parent_fd", ctypes.c_int32))
-
-
 def available() -> bool:
     """Whether this system can lock a process out of a directory."""
     if not sys.platform.startswith("linux"):
@@ -49,12 +41,8 @@ def available() -> bool:
 def lock_out(directory: Path, allow: Iterable[Path] = ()) -> None:
     """Take the right to read `directory` from this thread and its children; raises OSError."""
     libc = _libc()
-    attributes = _Ruleset(_READ_FILE | _READ_DIR)
-    ruleset = _checked(
-        libc.syscall(
-            _CREATE_RULESET, ctypes.byref(attributes), ctypes.c_size_t(ctypes.sizeof(attributes)), 0
-        )
-    )
+    handled = struct.pack("=Q", _READ_FILE | _READ_DIR)  # struct landlock_ruleset_attr
+    ruleset = _checked(libc.syscall(_CREATE_RULESET, handled, ctypes.c_size_t(len(handled)), 0))
     try:
         for path in (*_beside(directory.resolve()), *allow):
             _allow(libc, ruleset, path)
@@ -85,8 +73,8 @@ def _allow(libc: ctypes.CDLL, ruleset: int, path: Path) -> None:
         return  # gone meanwhile, or a link to nothing
     try:
         rights = _READ_FILE | _READ_DIR if path.is_dir() else _READ_FILE
-        rule = _PathBeneath(rights, handle)
-        _checked(libc.syscall(_ADD_RULE, ruleset, _PATH_BENEATH, ctypes.byref(rule), 0))
+        rule = struct.pack("=Qi", rights, handle)  # struct landlock_path_beneath_attr, packed
+        _checked(libc.syscall(_ADD_RULE, ruleset, _PATH_BENEATH, rule, 0))
     finally:
         os.close(handle)
 

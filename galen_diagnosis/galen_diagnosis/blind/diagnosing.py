@@ -13,7 +13,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -38,24 +38,21 @@ def diagnosed(recording: Path) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
     return found.answer.to_json(), {"seconds": seconds, "baselines": answers(Observation(read))}
 
 
-@dataclass(frozen=True)
-class Diagnoser:
-    """Diagnoses one recording and writes the answer; called in any process."""
+Diagnose = Callable[[Path], tuple[Mapping[str, Any], Mapping[str, Any]]]
 
-    answers: Path
-    diagnose: Callable[[Path], tuple[Mapping[str, Any], Mapping[str, Any]]] = diagnosed
 
-    def __call__(self, recording: Path) -> None:
-        """Write the answer last, so that it is there only when all is."""
-        answer, beside = self.diagnose(recording)
-        folder = self.answers / recording.name
-        write_whole(folder / BESIDE, json.dumps(beside))
-        write_whole(folder / ANSWER, json.dumps(answer, indent=2))
+def diagnose_one(recording: Path, answers: Path, diagnose: Diagnose = diagnosed) -> None:
+    """Write the answer last, so that it is there only when all is; called in any process."""
+    answer, beside = diagnose(recording)
+    folder = answers / recording.name
+    write_whole(folder / BESIDE, json.dumps(beside))
+    write_whole(folder / ANSWER, json.dumps(answer, indent=2))
 
 
 def diagnose_all(
     recordings: Path,
-    diagnoser: Diagnoser,
+    answers: Path,
+    diagnose: Diagnose = diagnosed,
     workers: int | None = None,
     scheduler: str | None = None,
 ) -> int:
@@ -63,16 +60,17 @@ def diagnose_all(
     waiting = [
         folder
         for folder in sorted(recordings.iterdir())
-        if not (diagnoser.answers / folder.name / ANSWER).exists()
+        if not (answers / folder.name / ANSWER).exists()
     ]
-    outcomes = run_many(diagnoser, waiting, scheduler=scheduler, workers=workers)
+    one = partial(diagnose_one, answers=answers, diagnose=diagnose)
+    outcomes = run_many(one, waiting, scheduler=scheduler, workers=workers)
     failed = [outcome for outcome in outcomes if outcome.error is not None]
     for outcome in failed:
-        write_whole(diagnoser.answers / outcome.bag.name / FAILED, f"{outcome.error}\n")
+        write_whole(answers / outcome.bag.name / FAILED, f"{outcome.error}\n")
     return len(failed)
 
 
-def main(args: Sequence[str] | None = None, diagnose: Any = diagnosed) -> int:
+def main(args: Sequence[str] | None = None, diagnose: Diagnose = diagnosed) -> int:
     """Entry point; returns the exit code: that some recordings failed is for the score."""
     parser = argparse.ArgumentParser(prog="blind_check: diagnosing")
     parser.add_argument("recordings", type=Path)
@@ -83,7 +81,7 @@ def main(args: Sequence[str] | None = None, diagnose: Any = diagnosed) -> int:
 
     def work() -> int:
         failed = diagnose_all(
-            given.recordings, Diagnoser(given.answers, diagnose), given.workers, given.scheduler
+            given.recordings, given.answers, diagnose, given.workers, given.scheduler
         )
         total = sum(1 for _ in given.recordings.iterdir())
         return EXIT_FAILED if failed == total else EXIT_OK

@@ -9,7 +9,7 @@ import json
 import os
 import shutil
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -42,15 +42,11 @@ Sort = tuple[str, tuple[str, ...], str]
 """Kind, effects and strength of a case."""
 
 
-@dataclass(frozen=True)
-class Planned:
-    """A recording to be made: the name of its directory and what is hidden in it."""
-
-    recording: str
-    case: Case
+Plan = dict[str, Case]
+"""What is hidden in the recordings to be made, by the names of their directories."""
 
 
-def full_plan(seed: int, per_class: int, unknown: str = TEST) -> list[Planned]:
+def full_plan(seed: int, per_class: int, unknown: str = TEST) -> Plan:
     """Plan `per_class` recordings of each effect at each strength, and others in proportion."""
     kinds = TEST_UNKNOWN if unknown == TEST else CALIBRATION_UNKNOWN
     sorts: list[Sort] = [(NONE, (), "clear")] * (_NONE_PER_CLASS * per_class)
@@ -65,21 +61,21 @@ def full_plan(seed: int, per_class: int, unknown: str = TEST) -> list[Planned]:
     return _named(sorts, seed)
 
 
-def short_plan(seed: int) -> list[Planned]:
+def short_plan(seed: int) -> Plan:
     """Plan one recording of each sort."""
     return _named(_SHORT, seed)
 
 
-def _named(sorts: Sequence[Sort], seed: int) -> list[Planned]:
+def _named(sorts: Sequence[Sort], seed: int) -> Plan:
     random = np.random.default_rng(np.random.SeedSequence(seed))
     names = random.choice(16**6, size=len(sorts), replace=False)
     seeds = random.integers(0, 2**31 - 1, size=len(sorts))
-    planned = [
-        Planned(f"recording_{int(name):06x}", Case(int(own), *sort))
+    planned = {
+        f"recording_{int(name):06x}": Case(int(own), *sort)
         for name, own, sort in zip(names, seeds, sorts, strict=True)
-    ]
+    }
     # By name, which is at random: neither the order of work nor that of the files shows a sort.
-    return sorted(planned, key=lambda one: one.recording)
+    return dict(sorted(planned.items()))
 
 
 _KINDS: dict[str, LabelKind] = {
@@ -92,55 +88,47 @@ _SAME_TIME_S = 946_684_800
 Generate = Callable[[Case, Path], Truth]
 
 
-@dataclass(frozen=True)
-class Maker:
-    """Makes one recording; called with where it is to lie, in any process.
+def make(recording: Path, plan: Plan, private: Path, generate: Generate = generate) -> None:
+    """Make one recording, if it isn't there whole; called in any process.
 
-    cases: by the recording's name. private: where the labels go, and the work in progress.
+    recording: where it is to lie. private: where its label goes, written last, and the work in
+    progress.
     """
+    case, label = plan[recording.name], _label_path(private, recording.name)
+    if label.exists() and recording.exists():
+        return
+    work = private / f"{recording.name}.work"
+    for old in (work, recording):
+        shutil.rmtree(old, ignore_errors=True)
+    truth = generate(case, work)
+    made = Label(
+        recording=recording.name,
+        kind=_KINDS[case.kind],
+        effects=truth.effects,
+        strength=truth.strength,
+        d=min(truth.d, default=None),
+        acceptable=truth.acceptable,
+        plant_seed=case.seed,
+        bags=tuple(case.bags),
+        sha256=directory_sha256(work),
+    )
+    shutil.move(work, recording)
+    write_whole(label, json.dumps(made.to_json()))
 
-    cases: dict[str, Case]
-    private: Path
-    generate: Generate = generate
 
-    def __call__(self, recording: Path) -> None:
-        """Make it, if it isn't there whole; its label is written last."""
-        case = self.cases[recording.name]
-        label = self._label_path(recording.name)
-        if label.exists() and recording.exists():
-            return
-        work = self.private / f"{recording.name}.work"
-        for old in (work, recording):
-            shutil.rmtree(old, ignore_errors=True)
-        truth = self.generate(case, work)
-        made = Label(
-            recording=recording.name,
-            kind=_KINDS[case.kind],
-            effects=truth.effects,
-            strength=truth.strength,
-            d=min(truth.d, default=None),
-            acceptable=truth.acceptable,
-            plant_seed=case.seed,
-            bags=tuple(case.bags),
-            sha256=directory_sha256(work),
-        )
-        shutil.move(work, recording)
-        write_whole(label, json.dumps(made.to_json()))
+def _label_path(private: Path, name: str) -> Path:
+    return private / f"{name}.json"
 
-    def label(self, name: str) -> Label:
-        """Read the label of a recording that was made; raises GalenError."""
-        path = self._label_path(name)
-        try:
-            return label_from_json(json.loads(path.read_text(encoding="utf-8")))
-        except (OSError, ValueError, FieldError) as error:
-            raise GalenError(f"{path}: a label can't be read: {error}") from error
 
-    def _label_path(self, name: str) -> Path:
-        return self.private / f"{name}.json"
+def _label(path: Path) -> Label:
+    try:
+        return label_from_json(json.loads(path.read_text(encoding="utf-8")))
+    except (OSError, ValueError, FieldError) as error:
+        raise GalenError(f"{path}: a label can't be read: {error}") from error
 
 
 def make_all(
-    plan: Sequence[Planned],
+    plan: Plan,
     recordings: Path,
     private: Path,
     workers: int | None,
@@ -151,12 +139,11 @@ def make_all(
         recordings.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise GalenError(f"{recordings}: can't be made: {error.strerror}") from error
-    maker = Maker({one.recording: one.case for one in plan}, private, generate)
-    places = [recordings / one.recording for one in plan]
-    for outcome in run_many(maker, places, workers=workers):
+    one = partial(make, plan=plan, private=private, generate=generate)
+    for outcome in run_many(one, [recordings / name for name in plan], workers=workers):
         if outcome.error is not None:
             raise GalenError(f"a recording couldn't be made: {outcome.error}")
-    labels = [maker.label(one.recording) for one in plan]
+    labels = [_label(_label_path(private, name)) for name in plan]
     same_times(recordings)
     return labels
 

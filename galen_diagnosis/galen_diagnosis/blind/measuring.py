@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from galen_bags.arrays.arm_recording import JOINT_STATE_TYPE, POSE_TYPE, WRENCH_TYPE
@@ -251,11 +251,8 @@ def _at(trace: Trace, at_s: Array) -> Trace:
     return Trace(at_s, *parts)
 
 
-class _Topic(NamedTuple):
-    name: str
-    type_name: str
-    stamp_ns: list[int]
-    messages: list[bytes]
+_Topic = tuple[str, str, list[int], list[bytes]]
+"""Name, type, stamps (ns) and messages."""
 
 
 def write_recording(directory: Path, measured: Measurement) -> None:
@@ -284,9 +281,9 @@ def _topics(rng: np.random.Generator, measured: Measurement, bag: str, take: Tak
     reading = np.round(reading / SENSOR.quantum) * SENSOR.quantum
     wrenches = wrench_bytes(GALEN.sensor_frame)
     moving = zip(state_ns, joints.tolist(), take.course(at_s, 1).tolist(), strict=True)
-    topics = [
-        _Topic("joint_states", JOINT_STATE_TYPE, state_ns, [states.fill(*one) for one in moving]),
-        _Topic(
+    topics: list[_Topic] = [
+        ("joint_states", JOINT_STATE_TYPE, state_ns, [states.fill(*one) for one in moving]),
+        (
             "wrench_raw", WRENCH_TYPE, wrench_ns,
             [wrenches.fill(*one) for one in zip(wrench_ns, reading.tolist(), strict=True)],
         ),
@@ -304,7 +301,7 @@ def _topics(rng: np.random.Generator, measured: Measurement, bag: str, take: Tak
         turn = Rotation.from_rotvec(session.tracker_std[1] * noise[:, 3:])
         quaternion = (Rotation.from_matrix(rotation) * turn).as_quat()
         poses = zip(pose_ns, position.tolist(), quaternion.tolist(), strict=True)
-        topics.append(_Topic(name, POSE_TYPE, pose_ns, [filler.fill(*one) for one in poses]))
+        topics.append((name, POSE_TYPE, pose_ns, [filler.fill(*one) for one in poses]))
     return topics
 
 
@@ -317,14 +314,14 @@ def _coloured(rng: np.random.Generator, shape: tuple[int, ...], rho: float) -> A
 
 def _write_bag(path: Path, topics: list[_Topic]) -> None:
     with BagWriter(path, compressed=False) as bag:
-        connections = [bag.add_topic(topic.name, topic.type_name) for topic in topics]
+        connections = [bag.add_topic(name, type_name) for name, type_name, _, _ in topics]
         order = sorted(
             (stamp_ns, k, number)
-            for k, topic in enumerate(topics)
-            for number, stamp_ns in enumerate(topic.stamp_ns)
+            for k, (_, _, stamps_ns, _) in enumerate(topics)
+            for number, stamp_ns in enumerate(stamps_ns)
         )
         for stamp_ns, k, number in order:
-            bag.write(connections[k], stamp_ns, topics[k].messages[number])
+            bag.write(connections[k], stamp_ns, topics[k][3][number])
 
 
 def tool_file(session: Session) -> dict[str, Any]:

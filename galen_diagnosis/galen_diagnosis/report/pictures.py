@@ -21,7 +21,6 @@ from matplotlib.patches import Rectangle
 from galen_diagnosis.answer.answer import Diagnosis
 from galen_diagnosis.answer.localization import (
     LEVEL,
-    CellScores,
     View,
     by_regime_of_bag,
     cell_scores,
@@ -73,13 +72,13 @@ def gap_figure(diagnosis: Diagnosis) -> plt.Figure:
     channels = list(dict.fromkeys(one["channel"] for one in view.details))
     channels.sort(key=CHANNELS.index)
     columns = _columns(view)
-    top = max(_LEAST_TOP, *(float(np.sqrt(one.ratio).max(initial=1.0)) for one in cells))
+    top = max(_LEAST_TOP, *(float(np.sqrt(ratio).max(initial=1.0)) for _, ratio, _ in cells))
     height = 2.3 + 0.33 * len(channels)
     figure, axes = plt.subplots(1, 2, figsize=(4.0 + 1.05 * len(columns), height), sharey=True)
     norm = LogNorm(1.0, top)
-    for axis, one, state, residual in zip(axes, cells, _STATES, residuals, strict=True):
+    for axis, (_, ratio, p), state, residual in zip(axes, cells, _STATES, residuals, strict=True):
         rms = np.sqrt(np.mean(residual**2) / diagnosis.floor) if len(residual) else np.nan
-        _draw_cells(axis, view, one, channels, columns, norm)
+        _draw_cells(axis, view, ratio, p, channels, columns, norm)
         axis.set_title(f"{state}: {rms:.2f} × noise over all", fontsize=12)
     axes[0].set_yticks(range(len(channels)), channels)
     _margins(figure, 0.6, 0.3, 0.95, 0.95, between_x=0.04)
@@ -109,14 +108,15 @@ def _columns(view: View) -> list[tuple[str, str]]:
 def _draw_cells(
     axis: plt.Axes,
     view: View,
-    cells: CellScores,
+    ratios: Array,
+    p_values: Array,
     channels: Sequence[str],
     columns: Sequence[tuple[str, str]],
     norm: LogNorm,
 ) -> None:
     values = np.full((len(channels), len(columns)), np.nan)
     marked = np.zeros(values.shape, dtype=bool)
-    for detail, ratio, p in zip(view.details, cells.ratio, cells.p, strict=True):
+    for detail, ratio, p in zip(view.details, ratios, p_values, strict=True):
         at = channels.index(detail["channel"]), columns.index((detail["bag"], detail["regime"]))
         values[at] = np.sqrt(ratio)
         marked[at] = p < LEVEL

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import check_tool_name
@@ -33,12 +32,8 @@ def build(page: Page) -> None:
             _Card(page, kind, name, title, icon, purpose, form)
 
 
-@dataclass(frozen=True)
-class _Form:
-    """update: follows the state; goal: what was chosen, None where a field complains."""
-
-    update: Callable[[SuiteState], None]
-    goal: Callable[[], Goal | None]
+_Form = tuple[Callable[[SuiteState], None], Callable[[], Goal | None]]
+"""What follows the state; what was chosen, None where a field complains."""
 
 
 class _Card:
@@ -66,14 +61,14 @@ class _Card:
             self._place = ui.column().classes("panel-run")
             with ui.column().classes("panel-form") as self._whole_form:
                 ui.label(purpose)
-                self._form = form(page)
+                self._update_form, self._goal = form(page)
                 self._start = ui.button(title, icon="play_arrow", on_click=self._begin)
                 self._start.props(f"unelevated data-testid={name}")
                 self._why_not = ui.label().classes("panel-note").props("role=status")
         page.on_change(self._update)
 
     async def _begin(self) -> None:
-        goal = self._form.goal()
+        goal = self._goal()
         if goal is None:
             return
         if goal.kind is BehaviourKind.CALIBRATE:
@@ -82,7 +77,7 @@ class _Card:
             await self._page.ask(self._page.suite.start(goal), self._start)
 
     def _update(self, state: SuiteState) -> None:
-        self._form.update(state)
+        self._update_form(state)
         why_not = programs.cannot_start(state, self._kind)
         self._why_not.set_text(why_not)
         self._why_not.set_visibility(bool(why_not))
@@ -122,7 +117,7 @@ def _calibrate(page: Page) -> _Form:
             return None
         return options.goal(str(tool.value))
 
-    return _Form(update, goal)
+    return update, goal
 
 
 def _check(_page: Page) -> _Form:
@@ -131,7 +126,7 @@ def _check(_page: Page) -> _Form:
     def goal() -> Goal | None:
         return Goal(BehaviourKind.CHECK, str(tool.value or _ACTIVE))
 
-    return _Form(lambda state: _set_tools(tool, state, _ACTIVE_TEXT), goal)
+    return lambda state: _set_tools(tool, state, _ACTIVE_TEXT), goal
 
 
 def _collect(page: Page) -> _Form:
@@ -151,7 +146,7 @@ def _collect(page: Page) -> _Form:
         kind, chosen = BehaviourKind.COLLECT, str(tool.value)
         return Goal(kind, chosen, name=name.value or "", by_hand=bool(by_hand.value))
 
-    return _Form(lambda state: _set_tools(tool, state), goal)
+    return lambda state: _set_tools(tool, state), goal
 
 
 _CARDS = {

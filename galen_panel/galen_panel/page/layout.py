@@ -276,6 +276,6 @@ def count(behaviour: Behaviour) -> str:
 
 def question(asked: Asked, tool: str) -> tuple[str, str]:
     """Return what a person is asked to do, and the answer's button."""
-    if asked is Asked.REMOVE_TOOL:
+    if asked == "REMOVE_TOOL":
         return "Take the tool off, then press.", "The tool is off"
     return f"Put {tool or 'the tool'} on, then press.", "The tool is on"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from enum import Enum
 
 import numpy as np
 from galen_model.evidence.verdict import TARE_COMMAND, Cause, CheckAnswer
@@ -42,12 +41,9 @@ _NOT_ON: dict[object, tuple[str, str]] = {
 }
 
 
-class Fate(Enum):
-    """Where the file that a calibration wrote is now."""
-
-    HERE = "The new file is written. Keep it to compensate with it now, or discard it."
-    ACTIVE = "The new file is active."
-    REPLACED = "The file is another one by now: this calibration was discarded or replaced."
+HERE = "The new file is written. Keep it to compensate with it now, or discard it."
+ACTIVE = "The new file is active."
+REPLACED = "The file is another one by now: this calibration was discarded or replaced."
 
 
 def title_and_level(kind: BehaviourKind, outcome: BehaviourOutcome) -> tuple[str, str]:
@@ -65,18 +61,18 @@ def sentence_of(outcome: BehaviourOutcome) -> str:
     return texts.sentence(outcome.text.replace(f": {TARE_COMMAND}", ""), outcome.tool)
 
 
-def fate(outcome: BehaviourOutcome, state: SuiteState) -> Fate:
-    """Find where a calibration's file is: kept, discarded or replaced, from any page.
+def fate(outcome: BehaviourOutcome, state: SuiteState) -> str:
+    """Describe where a calibration's file is now: HERE, ACTIVE or REPLACED, from any page.
 
     A file is known by mass and centre, which are written with all their digits.
     """
     found = next((tool for tool in state.tools or () if tool.name == outcome.tool), None)
     if found is None or found.problem or not _is(outcome, found.mass_kg, found.com_m):
-        return Fate.REPLACED
+        return REPLACED
     now = state.active_tool
     if now and now.tool == outcome.tool and _is(outcome, now.mass_kg, now.com_m):
-        return Fate.ACTIVE
-    return Fate.HERE
+        return ACTIVE
+    return HERE
 
 
 def load_rows(outcome: BehaviourOutcome) -> list[list[str]]:
@@ -160,13 +156,13 @@ class FileNotice:
     def update(self, state: SuiteState) -> None:
         """Follow the state: another browser may have kept or discarded it."""
         now = fate(self._outcome, state)
-        replaced = now is Fate.REPLACED
+        replaced = now == REPLACED
         # The list is from before the calibration until it has been read again.
         reading = replaced and not self._listed
-        text = "Reading the new file." if reading else now.value
+        text = "Reading the new file." if reading else now
         why_not = text if replaced else ""
         way_back = "gravcomp/remove_tool" if self._outcome.new else "gravcomp/revert_tool"
-        kept = text if now is Fate.ACTIVE else ""
+        kept = text if now == ACTIVE else ""
         self._fate.set_text(text)
         self._page.allow(
             self._keep, why_not or kept or programs.missing(state, "gravcomp/set_tool")

@@ -9,7 +9,7 @@ from starlette.concurrency import run_in_threadpool
 
 from galen_panel.messages import texts
 from galen_panel.page.page import Page, heading, set_prop
-from galen_panel.page.reports import Queue, ReportList
+from galen_panel.page.reports import ReportList, build_queue
 from galen_panel.recordings.recordings import BESIDE, Details, FoundRecording, line_of
 
 _STYLE = Path(__file__).with_suffix(".css")
@@ -31,7 +31,7 @@ def build(page: Page) -> None:
         with ui.column().classes("gap-4 w-full"):
             picked.draw()
             reports = ReportList(page, lambda: picked.id)
-            Queue(page, reports.open)
+            build_queue(page, reports.open)
     ui.timer(0.1, found.show, once=True)  # searched in the background
 
 

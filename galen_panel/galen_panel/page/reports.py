@@ -128,33 +128,31 @@ def _draw(report: StoredReport, files: list[str], dialog: ui.dialog) -> None:
                 ui.link(f"Save {name}", f"{place}/{name}")
 
 
-class Queue:
-    """The jobs that run, wait or have ended."""
+def build_queue(page: Page, open_report: Open) -> None:
+    """Draw the jobs that run, wait or have ended."""
+    jobs = page.recordings.jobs
+    seen = -1
+    lines: dict[int, _JobLine] = {}
+    with ui.card().classes("w-full gap-2").props("data-testid=jobs") as card:
+        heading("Evaluations and diagnoses")
+        rows = ui.column().classes("w-full gap-3").props("role=status")
 
-    def __init__(self, page: Page, open_report: Open) -> None:
-        self._page = page
-        self._open = open_report
-        self._revision = -1
-        self._lines: dict[int, _JobLine] = {}
-        with ui.card().classes("w-full gap-2").props("data-testid=jobs") as self._card:
-            heading("Evaluations and diagnoses")
-            self._rows = ui.column().classes("w-full gap-3").props("role=status")
-        ui.timer(_PERIOD_S, self._look)
-
-    def _look(self) -> None:
-        jobs = self._page.recordings.jobs
+    def look() -> None:
+        nonlocal seen
         revision = jobs.revision
-        if revision == self._revision:
+        if revision == seen:
             return
-        self._revision = revision
-        now = jobs.jobs
-        self._card.set_visibility(bool(now))
-        if [job.id for job in now] != list(self._lines):
-            self._rows.clear()
-            with self._rows:
-                self._lines = {job.id: _JobLine(self._page, job.id, self._open) for job in now}
+        seen, now = revision, jobs.jobs
+        card.set_visibility(bool(now))
+        if [job.id for job in now] != list(lines):
+            rows.clear()
+            lines.clear()
+            with rows:
+                lines.update((job.id, _JobLine(page, job.id, open_report)) for job in now)
         for job in now:
-            self._lines[job.id].show(job)
+            lines[job.id].show(job)
+
+    ui.timer(_PERIOD_S, look)
 
 
 class _JobLine:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any
+from typing import Any, get_args
 
 from galen_calibration_behavior.commands import (
     CALIBRATION_PHASES,
@@ -63,7 +63,7 @@ class GoalKind:
 
     def asked(self, state_name: str) -> Asked | None:
         """Return what a person does in this state, where one is to do it."""
-        return Asked.__members__.get(state_name)
+        return next((step for step in get_args(Asked) if step == state_name), None)
 
     def outcome(self, result: Any, tool: str, new: bool) -> BehaviourOutcome:
         """Read a result; `new`: whether the tool had no file when the goal began."""
