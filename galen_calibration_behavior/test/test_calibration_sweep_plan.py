@@ -71,8 +71,8 @@ def test_chosen_poses_stay_in_range_and_away_from_boxes(plan):
     for roll, tilt in boxed.poses:
         assert -1.5 <= roll <= 1.5
         assert -1.0 <= tilt <= 0.9
-        assert arm.nearest([0.0, 0.0, 0.408, roll, tilt]).distance_m >= 0.03
-    assert min(arm.nearest([0, 0, 0.408, *pose]).distance_m for pose in plan.poses) < 0.01
+        assert arm.nearest([0.0, 0.0, 0.408, roll, tilt])[0] >= 0.03
+    assert min(arm.nearest([0, 0, 0.408, *pose])[0] for pose in plan.poses) < 0.01
 
 
 def test_what_is_in_the_way_is_named():
@@ -103,7 +103,7 @@ def test_the_procedure_goes_around_boxes():
     def watched():
         nonlocal nearest
         if world.arm.moving and round(world.arm.stamp_ns / 1e7) % 3 == 0:
-            nearest = min(nearest, arm.nearest(world.arm.joints).distance_m)
+            nearest = min(nearest, arm.nearest(world.arm.joints)[0])
         return step()
 
     world.arm.step = watched

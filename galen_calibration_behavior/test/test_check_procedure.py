@@ -9,7 +9,7 @@ from calibration_fake_arm import NO_TOOL, POINTER, FakeArm
 from check_pointer_file import POINTER_FILE
 from galen_calibration_behavior.commands import CheckCode, CheckState, PoseFeedback, PosesEnd
 from galen_calibration_behavior.parameters import CalibrationParameters
-from galen_calibration_behavior.quick_check.procedure import CheckProcedure, CheckRequest
+from galen_calibration_behavior.quick_check.procedure import CheckProcedure
 from galen_model.arm.clearance import ArmClearance, boxes_from_numbers
 from galen_model.arm.galen import GALEN
 from galen_model.evidence.verdict import CheckAnswer
@@ -32,7 +32,7 @@ class Course:
         self.arm.zero()
         self.arm.tool = tool
         self.arm._from = self.arm._to = self.arm.joints = np.array(start)
-        self.procedure = CheckProcedure(settings, CheckRequest(file, poses, {}, None))
+        self.procedure = CheckProcedure(settings, file, poses, {}, None)
         self.commands = []
         self.seconds = 0.0
         self.watch = lambda arm: None
@@ -95,7 +95,7 @@ def test_it_goes_around_a_box():
 
         def watch(arm, course=course):
             if arm.moving and round(arm.stamp_ns / 1e7) % 3 == 0:
-                nearest[course] = min(nearest[course], clearance.nearest(arm.joints).distance_m)
+                nearest[course] = min(nearest[course], clearance.nearest(arm.joints)[0])
 
         course.watch = watch
         assert course.run().check.answer is CheckAnswer.GOOD

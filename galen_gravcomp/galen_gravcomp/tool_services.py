@@ -487,10 +487,8 @@ def _fill_comparison(response: Any, comparison: CalibrationComparison) -> None:
         )
         for row in comparison.differences
     ]
-    response.worst_force_n = comparison.worst_force.size
-    response.worst_force_at = comparison.worst_force.at_rad
-    response.worst_torque_nm = comparison.worst_torque.size
-    response.worst_torque_at = comparison.worst_torque.at_rad
+    response.worst_force_n, response.worst_force_at = comparison.worst_force
+    response.worst_torque_nm, response.worst_torque_at = comparison.worst_torque
 
 
 def _summary(entry: Entry, active_tool: bool, has_previous: bool) -> ToolSummary:

@@ -205,8 +205,8 @@ def comparison_to_json(comparison: CalibrationComparison) -> dict[str, Any]:
             for row in comparison.differences
         ],
         "worst": {
-            "force_n": comparison.worst_force.size,
-            "torque_nm": comparison.worst_torque.size,
+            "force_n": comparison.worst_force[0],
+            "torque_nm": comparison.worst_torque[0],
         },
         "parts": [{"part": part, "only_in": owner} for part, owner in comparison.parts],
     }

@@ -14,7 +14,6 @@ marker in the base and Y the marker in the tool,
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -98,16 +97,10 @@ class Transform:
 IDENTITY = Transform(np.eye(3), np.zeros(3))
 
 
-class MeanPose(NamedTuple):
-    """Mean of many poses, standard deviation (6,) of one (m, rad), and which went into the mean."""
-
-    pose: Transform
-    std: Array
-    used: np.ndarray
-
-
-def mean_pose(poses: Transform) -> MeanPose:
+def mean_pose(poses: Transform) -> tuple[Transform, Array, np.ndarray]:
     """Return the mean of poses (n) that scatter closely about one, and a few that lie far off.
+
+    Also the standard deviation (6,) of one (m, rad), and which went into the mean (n,).
 
     From the medians and median absolute deviations of the six displacements, those beyond four
     standard deviations are left out; the mean is that of the others' displacements. Rotations
@@ -124,7 +117,7 @@ def mean_pose(poses: Transform) -> MeanPose:
     mean = mean.displaced(off[used].mean(axis=0))
     freedom = max(int(used.sum()) - 1, 1)
     std = np.sqrt(np.sum(poses[used].displacement_from(mean) ** 2, axis=0) / freedom)
-    return MeanPose(mean, std, used)
+    return mean, std, used
 
 
 def nearest_rotation(matrix: Array) -> Array:

@@ -33,9 +33,9 @@ def test_a_wall_beside_the_tip_is_as_far_as_the_tip_says():
     arm = clearance(wall)
     for roll in (0.6, 0.9, 1.2):
         _, tip = GALEN.tip_pose(at(roll, 0.5), TIP)
-        nearest = arm.nearest(at(roll, 0.5))
-        assert nearest.part == "tool"
-        assert nearest.distance_m == pytest.approx(0.3 - tip[1] - TOOL_RADIUS_M, abs=1e-6)
+        distance_m, part, _ = arm.nearest(at(roll, 0.5))
+        assert part == "tool"
+        assert distance_m == pytest.approx(0.3 - tip[1] - TOOL_RADIUS_M, abs=1e-6)
 
 
 def test_points_of_the_tool_are_no_nearer_than_the_library_says():
@@ -49,7 +49,7 @@ def test_points_of_the_tool_are_no_nearer_than_the_library_says():
         outside = np.maximum(np.maximum(numbers[:3] - line, line - numbers[3:]), 0.0)
         of_points = np.min(np.linalg.norm(outside, axis=1)) - TOOL_RADIUS_M
         if of_points > 0.0:
-            assert arm.nearest(joints).distance_m <= of_points + 1e-6
+            assert arm.nearest(joints)[0] <= of_points + 1e-6
 
 
 def test_nothing_slips_through_a_straight_way_and_few_are_rejected_in_vain():
@@ -61,7 +61,7 @@ def test_nothing_slips_through_a_straight_way_and_few_are_rejected_in_vain():
     for start, goal in itertools.pairwise(ends):
         fault = arm.path_fault(start, goal)
         shares = np.linspace(0.0, 1.0, 40)
-        nearest = min(arm.nearest(start + s * (goal - start)).distance_m for s in shares)
+        nearest = min(arm.nearest(start + s * (goal - start))[0] for s in shares)
         free += not fault
         assert (nearest >= CLEARANCE) if not fault else (nearest < CLEARANCE + 0.01)
     assert 2 < free < 13

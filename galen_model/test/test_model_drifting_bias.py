@@ -144,7 +144,7 @@ def test_two_sweeps_with_a_bias_drift_and_a_touched_pose():
     found = identify_two_sweeps_drifting(*both)
     assert found.bias_drift is not None
     assert found.bias_drift.tool is not None
-    assert [(o.sweep, o.pose) for o in found.outliers] == [("tool", 20)]
+    assert [(sweep, pose) for sweep, pose, _ in found.outliers] == [("tool", 20)]
     np.testing.assert_array_less(np.abs(found.load.com_m - TOOL.com_m) / found.load.com_std_m, 3.5)
     assert abs(found.load.mass_kg - TOOL.mass_kg) < 3.5 * found.load.mass_std_kg
     # what holds at the end is what is written

@@ -263,7 +263,7 @@ def test_a_touched_pose_is_named_and_does_not_turn_the_sensor():
     bare, tool = sweeps(mounted, np.random.default_rng(13))
     tool.wrench[17] += [0.5, 0.0, 0.3, 0.0, 0.02, 0.0]
     found = identify_two_sweeps_mounted(bare, tool, ["sensor_rotation"])
-    assert [(o.sweep, o.pose) for o in found.outliers] == [("tool", 17)]
+    assert [(sweep, pose) for sweep, pose, _ in found.outliers] == [("tool", 17)]
     error = found.mounting.vector[:3] - mounted.vector[:3]
     assert np.all(np.abs(error) < 4.5 * found.mounting.std[:3])
 

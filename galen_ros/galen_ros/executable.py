@@ -11,25 +11,19 @@ import importlib
 import os
 import signal
 import time
-from enum import Enum, auto
 from types import FrameType
+from typing import Literal
 
 EXIT_INTERRUPTED = 130
 # One Ctrl-C may come twice: from the terminal, and handed on by `ros2 launch`.
 _SAME_S = 1.0
 
 
-class _Phase(Enum):
-    IMPORTING = auto()
-    WORKING = auto()
-    ENDING = auto()
-
-
 class _Interrupts:
     """The handler of SIGINT while no handler of the executable's own is in place."""
 
     def __init__(self) -> None:
-        self.phase = _Phase.IMPORTING
+        self.phase: Literal["importing", "working", "ending"] = "importing"
         self._came_s: float | None = None
 
     def take(self) -> None:
@@ -46,11 +40,11 @@ class _Interrupts:
 
     def __call__(self, _number: int, _frame: FrameType | None) -> None:
         first = self._came_s is None
-        if self.phase is _Phase.IMPORTING:
+        if self.phase == "importing":
             os._exit(EXIT_INTERRUPTED)  # an exception would come out of some import
         if not self.note():
             return
-        if self.phase is _Phase.WORKING:
+        if self.phase == "working":
             raise KeyboardInterrupt
         if not first:  # the end itself hangs
             os._exit(EXIT_INTERRUPTED)
@@ -81,12 +75,12 @@ class _Path:
         module, _, function = self._name.rpartition(".")
         main = getattr(importlib.import_module(module), function)
         try:
-            _interrupts.phase = _Phase.WORKING
+            _interrupts.phase = "working"
             return main()
         except KeyboardInterrupt:
             return EXIT_INTERRUPTED
         finally:
-            _interrupts.phase = _Phase.ENDING
+            _interrupts.phase = "ending"
             _interrupts.take()
 
 

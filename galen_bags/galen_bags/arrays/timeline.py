@@ -25,22 +25,13 @@ _MOST_JUMPS = 5
 
 
 @dataclass(frozen=True)
-class StampEvent:
-    """Something odd: at `time_s` after the topic's first stamp, `size_s` (signed) of the step."""
-
-    kind: str
-    time_s: float
-    size_s: float
-
-
-@dataclass(frozen=True)
 class StampReport:
     """What the stamps of a topic are like; times in s. NaN where there is too little to say it.
 
     rate_hz: without the gaps; `gap` counts steps of over 2.5 periods in which samples are missing,
     `missing` how many; `jump` where stamp and log time advance differently; `out_of_order` smaller
     steps back; `delay_s` is log time less stamp: smallest, mean, largest. `events` holds the first
-    of them.
+    of them: what, when after the topic's first stamp, and the size (signed) of the step.
     """
 
     count: int
@@ -54,7 +45,7 @@ class StampReport:
     out_of_order: int
     unstamped: int
     delay_s: tuple[float, float, float]
-    events: tuple[StampEvent, ...]
+    events: tuple[tuple[str, float, float], ...]
 
     @property
     def sound(self) -> bool:
@@ -80,7 +71,7 @@ class StampCheck:
     _steps: int = 0
     _longest_ns: int = 0
     _delay: list[float] = field(default_factory=lambda: [np.inf, 0.0, -np.inf])
-    _events: list[StampEvent] = field(default_factory=list)
+    _events: list[tuple[str, float, float]] = field(default_factory=list)
 
     def add(self, stamp_ns: np.ndarray, log_time_ns: np.ndarray) -> None:
         """Take stamps (n,) and log times (n,), ns."""
@@ -154,7 +145,7 @@ class StampCheck:
             for row in found[: max(0, _KEPT_EVENTS - len(self._events))]:
                 assert self._first is not None
                 time_s = (int(stamp_ns[row]) - self._first) / _NS
-                self._events.append(StampEvent(kind, time_s, float(step[row]) / _NS))
+                self._events.append((kind, time_s, float(step[row]) / _NS))
 
     def _note(self, kind: str, count: int) -> None:
         self._counts[kind] = self._counts.get(kind, 0) + count

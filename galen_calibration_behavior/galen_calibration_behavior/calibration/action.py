@@ -52,8 +52,8 @@ _ANSWER_S = 2.0
 """So long a driver is asked which tools it knows."""
 
 
-class _Goal(RunningGoal):
-    """One running calibration; `warnings`: known from before it began."""
+class _Calibrating(RunningGoal):
+    """One running calibration."""
 
     def __init__(
         self,
@@ -64,10 +64,9 @@ class _Goal(RunningGoal):
         tip_m: Array,
         warnings: list[str],
     ) -> None:
-        super().__init__(action, handle, procedure)
+        super().__init__(action, handle, procedure, warnings)
         self.path = path
         self.tip_m = tip_m
-        self.warnings = warnings
         self.calibration: Calibration | None = None
         self.drivers_tools: _DriversTools | None = None
 
@@ -134,7 +133,7 @@ class CalibrateAction(ArmAction):
         self._attach_client = node.create_client(SetTool, "attach_tool")
         node.create_service(Trigger, "~/confirm", self._on_confirm)
 
-    def make_goal(self, handle: ServerGoalHandle) -> _Goal:
+    def make_goal(self, handle: ServerGoalHandle) -> _Calibrating:
         """Return the goal to run; raises RejectedGoalError."""
         request, settings = handle.request, self.node.settings
         for name, count in (("iters_t", request.iters_t), ("iters_r", request.iters_r)):
@@ -182,18 +181,18 @@ class CalibrateAction(ArmAction):
                 plan.router,
             ),
         )
-        return _Goal(self, handle, procedure, path, tip_m, warnings)
+        return _Calibrating(self, handle, procedure, path, tip_m, warnings)
 
-    def introduce(self, goal: _Goal) -> str:
+    def introduce(self, goal: _Calibrating) -> str:
         """Describe in the log what begins."""
         return f"{goal.procedure.progress[1]} poses, file {goal.path}"
 
-    def make_end(self, code: IntEnum, message: str, goal: _Goal | None) -> End:
+    def make_end(self, code: IntEnum, message: str, goal: _Calibrating | None) -> End:
         """Return an end that the procedure doesn't know of."""
         return PosesEnd(CalibrationCode(code), message)
 
     def make_result(
-        self, handle: ServerGoalHandle, end: PosesEnd, goal: _Goal | None
+        self, handle: ServerGoalHandle, end: PosesEnd, goal: _Calibrating | None
     ) -> tuple[CalibrateTool.Result, str]:
         """Return the action's result, and a sentence for /diagnostics."""
         tool, shown = handle.request.tool, named(handle.request.tool)
@@ -217,12 +216,12 @@ class CalibrateAction(ArmAction):
 
     # ---- commands
 
-    def needed_clients(self, goal: _Goal) -> list[Client]:
+    def needed_clients(self, goal: _Calibrating) -> list[Client]:
         """Return the clients of the services that the goal can't do without."""
         by_service = goal.handle.request.attach_by_service
         return [self._zero_client, self._attach_client] if by_service else [self._zero_client]
 
-    def find_missing(self, goal: _Goal) -> tuple[IntEnum, str] | None:
+    def find_missing(self, goal: _Calibrating) -> tuple[IntEnum, str] | None:
         """Ask a driver that changes tools whether it knows this one, before the arm moves."""
         request = goal.handle.request
         if not request.attach_by_service:
@@ -242,7 +241,7 @@ class CalibrateAction(ArmAction):
             )
         return None
 
-    def obey(self, goal: _Goal, command: Any) -> None:
+    def obey(self, goal: _Calibrating, command: Any) -> None:
         """Give feedback, call the driver's services, estimate."""
         node, on_service = self.node, goal.procedure.on_service
         match command:
@@ -265,7 +264,7 @@ class CalibrateAction(ArmAction):
             case Measurements():
                 self._estimate(goal, command)
 
-    def _estimate(self, goal: _Goal, measurements: Measurements) -> None:
+    def _estimate(self, goal: _Calibrating, measurements: Measurements) -> None:
         groups = self.node.settings.estimate
         try:
             calibration = estimate(
@@ -283,7 +282,7 @@ class CalibrateAction(ArmAction):
             goal.calibration = calibration
             goal.procedure.on_estimated()
 
-    def _publish_feedback(self, goal: _Goal, feedback: PoseFeedback) -> None:
+    def _publish_feedback(self, goal: _Calibrating, feedback: PoseFeedback) -> None:
         message = CalibrateTool.Feedback(
             state=int(feedback.state),
             pose=feedback.pose,
@@ -300,11 +299,11 @@ class CalibrateAction(ArmAction):
 
     # ---- diagnostics
 
-    def status_values(self, goal: _Goal) -> dict[str, object]:
+    def status_values(self, goal: _Calibrating) -> dict[str, object]:
         """Return whether it waits for a person."""
         return {"waits_for_person": goal.procedure.waiting_for_person}
 
-    def status_remark(self, goal: _Goal) -> str:
+    def status_remark(self, goal: _Calibrating) -> str:
         """Return what it waits for."""
         return "; waits for ~/confirm" if goal.procedure.waiting_for_person else ""
 

@@ -210,8 +210,8 @@ def _outliers(found: Identification, measurements: Measurements) -> list[str]:
     """Name the fit's outliers by their place in the sweep; the fit counts only the still poses."""
     indices = {"bare": measurements.bare_indices, "tool": measurements.tool_indices}
     return [
-        f"{o.sweep}/{indices[o.sweep][o.pose]}: {o.sigmas:.1f} sigma off the common load"
-        for o in found.outliers
+        f"{sweep}/{indices[sweep][pose]}: {sigmas:.1f} sigma off the common load"
+        for sweep, pose, sigmas in found.outliers
     ]
 
 

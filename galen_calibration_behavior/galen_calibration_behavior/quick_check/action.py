@@ -18,23 +18,9 @@ from rclpy.action.server import ServerGoalHandle
 from galen_calibration_behavior.commands import CheckCode, PoseFeedback, PosesEnd
 from galen_calibration_behavior.parameters import MOST_CHECK_POSES
 from galen_calibration_behavior.quick_check.decision import FEWEST_POSES, centre_change
-from galen_calibration_behavior.quick_check.procedure import CheckProcedure, CheckRequest
+from galen_calibration_behavior.quick_check.procedure import CheckProcedure
 from galen_msgs.action import CheckTool
 from galen_msgs.msg import ActiveTool
-
-
-class _Goal(RunningGoal):
-    """One running check; `warnings`: known from before it began."""
-
-    def __init__(
-        self,
-        action: ArmAction,
-        handle: ServerGoalHandle,
-        procedure: CheckProcedure,
-        warnings: list[str],
-    ) -> None:
-        super().__init__(action, handle, procedure)
-        self.warnings = warnings
 
 
 class CheckAction(ArmAction):
@@ -73,7 +59,7 @@ class CheckAction(ArmAction):
         why = "no gravcomp_node is running" if self._active is None else "gravcomp has none"
         return f"the goal names no tool, and {why}: name the tool that is on, as in 'check pointer'"
 
-    def make_goal(self, handle: ServerGoalHandle) -> _Goal:
+    def make_goal(self, handle: ServerGoalHandle) -> RunningGoal:
         """Return the goal to run; raises RejectedGoalError."""
         name, poses = self.subject_of(handle.request), handle.request.poses
         settings = self.node.settings
@@ -101,9 +87,10 @@ class CheckAction(ArmAction):
             warnings.append(
                 "what gravcomp's tare, or its estimate of the bias drift, subtracts counts"
             )
-        request = CheckRequest(tool, poses or settings.check_poses, others, known_offset)
-        procedure = CheckProcedure(settings, request)
-        return _Goal(self, handle, procedure, warnings)
+        procedure = CheckProcedure(
+            settings, tool, poses or settings.check_poses, others, known_offset
+        )
+        return RunningGoal(self, handle, procedure, warnings)
 
     def _known_offset(self, tool: str) -> Array | None:
         """Return what gravcomp subtracts beside the file (6,), N and N.m; None for nothing."""
@@ -117,16 +104,16 @@ class CheckAction(ArmAction):
                 taken_off += [force.x, force.y, force.z, torque.x, torque.y, torque.z]
         return taken_off
 
-    def introduce(self, goal: _Goal) -> str:
+    def introduce(self, goal: RunningGoal) -> str:
         """Describe in the log what begins."""
         return f"{goal.procedure.progress[1]} poses"
 
-    def make_end(self, code: IntEnum, message: str, goal: _Goal | None) -> End:
+    def make_end(self, code: IntEnum, message: str, goal: RunningGoal | None) -> End:
         """Return an end that the procedure doesn't know of."""
         return PosesEnd(CheckCode(code), message)
 
     def make_result(
-        self, handle: ServerGoalHandle, end: PosesEnd, goal: _Goal | None
+        self, handle: ServerGoalHandle, end: PosesEnd, goal: RunningGoal | None
     ) -> tuple[CheckTool.Result, str]:
         """Return the action's result, and a sentence for /diagnostics."""
         name = self.subject_of(handle.request)
@@ -156,7 +143,7 @@ class CheckAction(ArmAction):
 
     # ---- commands
 
-    def obey(self, goal: _Goal, command: Any) -> None:
+    def obey(self, goal: RunningGoal, command: Any) -> None:
         """Give feedback."""
         if not isinstance(command, PoseFeedback):
             return

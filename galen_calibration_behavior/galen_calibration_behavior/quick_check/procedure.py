@@ -13,7 +13,6 @@ not look like a load (`order_poses`). Around boxes the arm goes within that grid
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
@@ -41,20 +40,6 @@ from galen_calibration_behavior.quick_check.decision import FEWEST_POSES, QuickC
 _GRID_STEPS = 5
 
 
-@dataclass(frozen=True)
-class CheckRequest:
-    """What one goal asks for.
-
-    others: the files of other tools by name; known_offset (6,): what a tare already subtracts, N
-    and N.m, None where that isn't known.
-    """
-
-    tool: CalibrationFile
-    poses: int
-    others: Mapping[str, CalibrationFile]
-    known_offset: Array | None
-
-
 class CheckProcedure(PoseProcedure):
     """One check. Call `start`, feed samples and events, and do what `take_commands` gives."""
 
@@ -62,22 +47,32 @@ class CheckProcedure(PoseProcedure):
     _settings: CalibrationParameters
     _state: CheckState
 
-    def __init__(self, settings: CalibrationParameters, request: CheckRequest) -> None:
+    def __init__(
+        self,
+        settings: CalibrationParameters,
+        tool: CalibrationFile,
+        poses: int,
+        others: Mapping[str, CalibrationFile],
+        known_offset: Array | None,
+    ) -> None:
+        """Check a tool at so many poses.
+
+        others: the files of other tools by name; known_offset (6,): what a tare already subtracts,
+        N and N.m, None where that isn't known.
+        """
         super().__init__(settings, CheckState.MEASURE)
-        self._request = request
+        self.tool = tool
+        self._poses = poses
+        self._others = others
+        self._known_offset = known_offset
         self._before = settings.arm.home
         self._sweep: Sweep | None = None
         self._check: QuickCheck | None = None
 
     @property
-    def tool(self) -> CalibrationFile:
-        """The tool's file that is checked."""
-        return self._request.tool
-
-    @property
     def progress(self) -> tuple[int, int]:
         """Poses finished, and poses in all."""
-        return self._sweep.finished_poses if self._sweep else 0, self._request.poses
+        return self._sweep.finished_poses if self._sweep else 0, self._poses
 
     def _begin(self) -> None:
         assert self._joints is not None
@@ -100,7 +95,7 @@ class CheckProcedure(PoseProcedure):
             plan = plan_check(
                 self._before,
                 settings.check_reach_rad,
-                self._request.poses,
+                self._poses,
                 times,
                 settings.surroundings,
                 self.tool.tip_m,
@@ -137,13 +132,12 @@ class CheckProcedure(PoseProcedure):
                 f" {FEWEST_POSES} are needed; {sweep.rejections[-1]}",
             )
             return
-        request = self._request
         self._check = quick_check(
             sweep.records,
-            request.tool,
+            self.tool,
             self._settings.check_limits,
-            others=request.others,
-            known_offset=request.known_offset,
+            others=self._others,
+            known_offset=self._known_offset,
         )
         self._state = CheckState.RETURN
         self._report("going back to where it was")

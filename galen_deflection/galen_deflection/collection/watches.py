@@ -77,7 +77,7 @@ class MarkerPoses:
     def mean(self) -> Transform:
         """Return the mean pose."""
         rotations, translations = zip(*self.poses, strict=True)
-        return mean_pose(Transform(np.array(rotations), np.array(translations))).pose
+        return mean_pose(Transform(np.array(rotations), np.array(translations)))[0]
 
 
 class NoContactWatch:

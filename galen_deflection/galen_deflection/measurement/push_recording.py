@@ -287,8 +287,8 @@ def base_stands(track: MarkerTrack, start_ns: int) -> tuple[list[BaseStand], lis
     segmentation: Vostrikova, *Soviet Math. Doklady* 24, 1981). Poses far off are clipped, so that
     one of them makes no move; the noise's own correlation in time counts against a move.
     """
-    mean = mean_pose(track.poses)
-    off = track.poses.displacement_from(mean.pose)
+    mean, _, _ = mean_pose(track.poses)
+    off = track.poses.displacement_from(mean)
     # The floor is for a marker that was looked at once, and published for ever.
     noise = np.maximum(_noise(off), _LEAST_NOISE)
     cuts = _moves(off / noise)
@@ -296,10 +296,10 @@ def base_stands(track: MarkerTrack, start_ns: int) -> tuple[list[BaseStand], lis
     time_ns = track.line.time_ns
     stands = []
     for number, (first, stop) in enumerate(pairwise(edges)):
-        part = mean_pose(track.poses[first:stop])
+        pose, std, _ = mean_pose(track.poses[first:stop])
         begin = int(time_ns[first]) if number else -(1 << 62)
         end = int(time_ns[stop]) if stop < len(track) else 1 << 62
-        stands.append(BaseStand(begin, end, part.pose, part.std))
+        stands.append(BaseStand(begin, end, pose, std))
     moves = []
     for before, after in pairwise(stands):
         step = after.pose.displacement_from(before.pose)

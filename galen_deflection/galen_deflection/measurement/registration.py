@@ -131,9 +131,9 @@ def rest_poses(recording: PushRecording, stand: int) -> list[RestPose]:
         here = np.flatnonzero(rows & np.all(which == key, axis=1))
         if len(here) < _LEAST_SAMPLES:
             continue
-        mean = mean_pose(recording.marker[here])
-        off = recording.marker[here][mean.used].displacement_from(mean.pose)
-        found.append((int(key[0]), here, mean, off))
+        mean, std, used = mean_pose(recording.marker[here])
+        off = recording.marker[here][used].displacement_from(mean)
+        found.append((int(key[0]), here, mean, std, off))
     if not found:
         return []
     more = _correlation([off for *_, off in found])
@@ -141,11 +141,11 @@ def rest_poses(recording: PushRecording, stand: int) -> list[RestPose]:
         RestPose(
             position,
             recording.joints[here].mean(axis=0),
-            mean.pose,
-            mean.std,
+            mean,
+            std,
             more * (off.T @ off) / (len(off) - 1) / len(off),
         )
-        for position, here, mean, off in found
+        for position, here, mean, std, off in found
     ]
 
 

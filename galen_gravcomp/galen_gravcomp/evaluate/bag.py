@@ -240,7 +240,7 @@ class _Run:
         wrench_stamps = self._wrench_stamps.report()
         restart_s = self._settings.parameters.restart_gap_s
         stamps_jump = any(
-            event.kind == "jump" and abs(event.size_s) > restart_s for event in wrench_stamps.events
+            kind == "jump" and abs(size_s) > restart_s for kind, _, size_s in wrench_stamps.events
         )
         limits = self._settings.limits
         change = find_change(phases, self._tool, limits)

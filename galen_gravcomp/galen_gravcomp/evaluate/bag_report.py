@@ -279,11 +279,8 @@ def _findings(result: BagEvaluation) -> Iterator[str]:
 def _stamp_findings(topic: str, stamps: StampReport) -> Iterator[str]:
     if stamps.unstamped:
         yield f"{topic}: {stamps.unstamped} messages without a stamp"
-    for event in stamps.events[:_EVENTS]:
-        yield (
-            f"{topic}: {event.kind.replace('_', ' ')} at {event.time_s:.3f} s, a step of"
-            f" {event.size_s:+.4f} s"
-        )
+    for kind, time_s, size_s in stamps.events[:_EVENTS]:
+        yield f"{topic}: {kind.replace('_', ' ')} at {time_s:.3f} s, a step of {size_s:+.4f} s"
     more = stamps.gaps + stamps.jumps + stamps.duplicates + stamps.out_of_order - _EVENTS
     if more > 0:
         yield f"{topic}: and {more} more like these"

@@ -95,15 +95,6 @@ class _Part:
     radius_m: float
 
 
-@dataclass(frozen=True)
-class Nearest:
-    """The smallest distance between a part of the arm and a box, m; negative inside."""
-
-    distance_m: float
-    part: str
-    box: str
-
-
 class ArmClearance:
     """Distances of the arm with a tool to boxes; poses are joints (5,), m and rad."""
 
@@ -145,19 +136,22 @@ class ArmClearance:
         """What it keeps away from."""
         return self._boxes
 
-    def nearest(self, joints: Array) -> Nearest | None:
-        """Return the nearest part and box at a pose; None without boxes."""
+    def nearest(self, joints: Array) -> tuple[float, str, str] | None:
+        """Return the smallest distance at a pose, m, its part and its box; None without boxes.
+
+        Negative inside a box.
+        """
         frames = _frames(joints, self.arm)
         request, result = coal.DistanceRequest(), coal.DistanceResult()
-        best: Nearest | None = None
+        best: tuple[float, str, str] | None = None
         for part, capsule, turn, middle in self._parts:
             rotation, origin = frames[part.frame]
             place = coal.Transform3s(rotation @ turn, origin + rotation @ middle)
             for box, shape, where in self._shapes:
                 result.clear()
                 distance = float(coal.distance(capsule, place, shape, where, request, result))
-                if best is None or distance < best.distance_m:
-                    best = Nearest(distance, part.name, box.name)
+                if best is None or distance < best[0]:
+                    best = (distance, part.name, box.name)
         return best
 
     def pose_fault(self, joints: Array) -> str:
@@ -184,14 +178,15 @@ class ArmClearance:
         nearest = self.nearest(joints)
         if nearest is None:
             return np.inf, ""
-        if nearest.distance_m >= self._clearance_m + _SLACK_M:
-            return nearest.distance_m, ""
+        distance_m, part, box = nearest
+        if distance_m >= self._clearance_m + _SLACK_M:
+            return distance_m, ""
         where = (
-            f"{nearest.distance_m * 1e3:.0f} mm from"
-            if nearest.distance_m > 0.0
+            f"{distance_m * 1e3:.0f} mm from"
+            if distance_m > 0.0
             else "in"  # the library's depth of contact is no distance
         )
-        return nearest.distance_m, f"the {nearest.part} would be {where} {nearest.box}"
+        return distance_m, f"the {part} would be {where} {box}"
 
 
 def _parts(tip: Array, arm: Arm) -> list[_Part]:

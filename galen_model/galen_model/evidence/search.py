@@ -29,23 +29,19 @@ _HALF = 0.5
 _NEARLY_NATS = 1.0
 _TOLD_APART_NATS = 2.3
 """Ten to one."""
-
-
-@dataclass(frozen=True)
-class SearchSettings:
-    """Chosen by hand; galen_diagnosis/README.md has how often answers were right.
-
-    tempering: eta. effect_odds: of an effect being there, beforehand. unknown_odds: of something
-    unknown being there. most: effects at once. joined: best sets that get another.
-    """
-
-    tempering: float = 0.7
-    effect_odds: float = 0.03
-    unknown_odds: float = 0.3
-    most: int = 3
-    joined: int = 3
-    draws: int = 2000
-    seed: int = 0
+# Chosen by hand; galen_diagnosis/README.md has how often answers were right.
+_TEMPERING = 0.7
+"""eta."""
+_EFFECT_ODDS = 0.03
+"""Of an effect being there, beforehand."""
+_UNKNOWN_ODDS = 0.3
+"""Of something unknown being there."""
+_MOST = 3
+"""Effects at once."""
+_JOINED = 3
+"""Best sets that get another."""
+_DRAWS = 2000
+_SEED = 0
 
 
 @dataclass(frozen=True)
@@ -65,16 +61,15 @@ class SearchResult:
 def search(
     evidence: BlockEvidence,
     effects: Effects,
-    settings: SearchSettings | None = None,
     progress: Progress | None = None,
 ) -> SearchResult:
     """Try hypotheses and weigh them."""
-    work = _Search(evidence, effects, settings or SearchSettings(), progress or (lambda text: None))
+    work = _Search(evidence, effects, progress or (lambda text: None))
     work.try_sets((), [()])
     for name, ways in effects.of.items():
         work.try_sets((name,), [(way,) for way in ways])
     work.prune()
-    for size in range(2, work.settings.most + 1):
+    for size in range(2, _MOST + 1):
         for base in work.worth_joining(size - 1):
             for name in effects.of:
                 if name not in base.effects:
@@ -94,10 +89,9 @@ class _Search:
         self,
         evidence: BlockEvidence,
         effects: Effects,
-        settings: SearchSettings,
         progress: Progress,
     ) -> None:
-        self.evidence, self.effects, self.settings = evidence, effects, settings
+        self.evidence, self.effects = evidence, effects
         self.progress = progress
         self.ways = {name: list(ways) for name, ways in effects.of.items()}
         self.tried: dict[tuple[frozenset[str], bool], BlockHypothesis] = {}
@@ -132,11 +126,11 @@ class _Search:
         self.try_sets((*names, name), [(*ways, way) for way in self.ways[name]])
 
     def score(self, hypothesis: BlockHypothesis) -> float:
-        return float(self.settings.tempering * hypothesis.elpd.sum() + self._log_prior(hypothesis))
+        return float(_TEMPERING * hypothesis.elpd.sum() + self._log_prior(hypothesis))
 
     def _log_prior(self, hypothesis: BlockHypothesis) -> float:
-        unknown = 0.0 if hypothesis.floor_only else np.log(self.settings.unknown_odds)
-        return float(len(hypothesis.effects) * np.log(self.settings.effect_odds) + unknown)
+        unknown = 0.0 if hypothesis.floor_only else np.log(_UNKNOWN_ODDS)
+        return float(len(hypothesis.effects) * np.log(_EFFECT_ODDS) + unknown)
 
     def best_sets(self, size: int) -> list[BlockHypothesis]:
         of_size = [one for one in self.tried.values() if len(one.effects) == size]
@@ -144,7 +138,7 @@ class _Search:
         kept: dict[frozenset[str], BlockHypothesis] = {}
         for one in ordered:
             kept.setdefault(frozenset(one.effects), one)
-        return list(kept.values())[: self.settings.joined]
+        return list(kept.values())[:_JOINED]
 
     def worth_joining(self, size: int) -> list[BlockHypothesis]:
         """Of the best sets of a size, those that are better than any smaller set, or nearly."""
@@ -158,9 +152,9 @@ class _Search:
         elpd = np.stack([one.elpd for one in every])
         prior = np.array([self._log_prior(one) for one in every])
         blocks = elpd.shape[1]
-        random = np.random.default_rng(self.settings.seed)
-        weights = random.dirichlet(np.ones(blocks), self.settings.draws) * blocks
-        scores = self.settings.tempering * weights @ elpd.T + prior
+        random = np.random.default_rng(_SEED)
+        weights = random.dirichlet(np.ones(blocks), _DRAWS) * blocks
+        scores = _TEMPERING * weights @ elpd.T + prior
         scores -= scores.max(axis=1, keepdims=True)
         shares = np.exp(scores)
         probability = (shares / shares.sum(axis=1, keepdims=True)).mean(axis=0)
@@ -204,4 +198,4 @@ class _Search:
         if other is None:
             return False
         worse = float((best.elpd - other.elpd).sum())
-        return self.settings.tempering * worse < _TOLD_APART_NATS
+        return _TEMPERING * worse < _TOLD_APART_NATS

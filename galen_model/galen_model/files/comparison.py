@@ -75,23 +75,19 @@ class Difference:
 
 
 @dataclass(frozen=True)
-class WorstCase:
-    """Largest difference over all angles, N or N.m, and the angles (k,) of it, rad."""
-
-    size: float
-    at_rad: Array
-
-
-@dataclass(frozen=True)
 class CalibrationComparison:
-    """Two files compared; `parts`: (part, who has it) of optional parts that not both have."""
+    """Two files compared; `parts`: (part, who has it) of optional parts that not both have.
+
+    worst_force, worst_torque: largest difference over all angles, N or N.m, and the angles (k,) of
+    it, rad.
+    """
 
     a: str
     b: str
     differences: tuple[Difference, ...]
     same_load: bool
-    worst_force: WorstCase
-    worst_torque: WorstCase
+    worst_force: tuple[float, Array]
+    worst_torque: tuple[float, Array]
     parts: tuple[tuple[str, str], ...]
 
     @property
@@ -106,8 +102,8 @@ class CalibrationComparison:
                 load += ": " + ", ".join(f"{d.quantity} {d.text}" for d in found)
         text = (
             f"'{self.a}' and '{self.b}': {load}; what is compensated differs by at most"
-            f" {three_digits(1e3 * self.worst_force.size)} mN and"
-            f" {three_digits(1e3 * self.worst_torque.size)} mN.m"
+            f" {three_digits(1e3 * self.worst_force[0])} mN and"
+            f" {three_digits(1e3 * self.worst_torque[0])} mN.m"
         )
         for part, owner in self.parts:
             text += f"; only '{owner}' has the part {part}"
@@ -174,7 +170,7 @@ def _load_differences(prefix: str, a: LoadEstimate, b: LoadEstimate) -> list[Dif
     return rows
 
 
-def _worst(a: CalibrationFile, b: CalibrationFile) -> tuple[WorstCase, WorstCase]:
+def _worst(a: CalibrationFile, b: CalibrationFile) -> list[tuple[float, Array]]:
     """Over angles on a grid within the arm's limits, of weight and offsets."""
     limits = zip(GALEN.angles(GALEN.lower), GALEN.angles(GALEN.upper), _GRID, strict=True)
     grid = np.meshgrid(*(np.linspace(*limit) for limit in limits), indexing="ij")
@@ -184,8 +180,8 @@ def _worst(a: CalibrationFile, b: CalibrationFile) -> tuple[WorstCase, WorstCase
     for part in (slice(0, 3), slice(3, 6)):
         size = np.linalg.norm(difference[..., part], axis=-1)
         at = np.unravel_index(np.argmax(size), size.shape)
-        worst.append(WorstCase(float(size[at]), angles[at]))
-    return worst[0], worst[1]
+        worst.append((float(size[at]), angles[at]))
+    return worst
 
 
 def three_digits(value: float) -> str:

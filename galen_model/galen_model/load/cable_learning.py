@@ -80,15 +80,6 @@ class CableSweep:
         )
 
 
-@dataclass(frozen=True)
-class CableFit:
-    """What was found for one form: the pull, and the optimiser's vector, to start another from."""
-
-    drag: LearnedPull
-    scatter: float
-    start: Array
-
-
 def spacing_rad(joints: Array) -> float:
     """How far apart the poses (n, 5) stand in their angles: most have another within it."""
     angles = GALEN.angles(joints)
@@ -113,8 +104,10 @@ def spread_out(joints: Array, count: int) -> Array:
 
 def fit_cable(
     sweep: CableSweep, form: str, learned_at: str, start: Array | None = None
-) -> CableFit:
+) -> tuple[LearnedPull, float, Array]:
     """Learn a cable's pull from all poses given. `start`: an earlier fit's.
+
+    Returns the pull, its scatter, and the optimiser's vector, to start another from.
 
     Raises IdentificationError where the sweep's numbers give none.
     """
@@ -146,7 +139,7 @@ def fit_cable(
         learned_at=learned_at,
         attachment_m=np.zeros(3) if form == "free" else found.x[6:],
     )
-    return CableFit(drag, scatter, found.x)
+    return drag, scatter, found.x
 
 
 class _Likelihood:
@@ -333,7 +326,7 @@ def learn_cable(
             f" {file.chi:.1f} times the noise of the averages and, in the worst axis,"
             f" {over_noise:.2g} times that of one reading"
         )
-    whole: dict[str, CableFit] = {}
+    whole: dict[str, tuple[LearnedPull, float, Array]] = {}
     predicted = {form: np.zeros_like(sweep.wrench) for form in forms}
     stated = {form: np.zeros_like(sweep.wrench) for form in forms}
     for form, part in progress([(form, part) for form in predicted for part in (-1, *parts)]):
@@ -341,22 +334,23 @@ def learn_cable(
             whole[form] = fit_cable(sweep, form, learned_at)
             continue
         out = block == part
-        fold = fit_cable(sweep.part(~out), form, learned_at, whole[form].start)
-        posterior = fold.drag.posterior
+        fold, scatter, _ = fit_cable(sweep.part(~out), form, learned_at, whole[form][2])
+        posterior = fold.posterior
         predicted[form][out] = posterior.means(sweep.joints[out])
         own = [np.diag(posterior.process_covariance(q)) for q in sweep.joints[out]]
-        noise = np.hypot(sweep.std_of_mean[out], fold.scatter * sweep.noise)
+        noise = np.hypot(sweep.std_of_mean[out], scatter * sweep.noise)
         stated[form][out] = np.sqrt(np.maximum(own, 0.0) + noise**2)
     held_out = {form: _scored(sweep, predicted[form], stated[form]) for form in predicted}
     best = min(held_out, key=lambda form: held_out[form].chi)
     _check_worth(sweep, block, held_out[best], file, least_squares)
     ratio = held_out[best].error / stated[best]
+    drag, scatter, _ = whole[best]
     drag = replace(
-        whole[best].drag,
+        drag,
         inflation=max(1.0, float(np.sqrt(np.mean(ratio**2)))),
         held_out_rmse=held_out[best].rmse,
     )
-    return LearnedCable(drag, whole[best].scatter, file, least_squares, held_out, block)
+    return LearnedCable(drag, scatter, file, least_squares, held_out, block)
 
 
 def _check_poses(sweep: CableSweep) -> None:

@@ -94,15 +94,6 @@ class StillPoses:
 
 
 @dataclass(frozen=True)
-class Outlier:
-    """A pose that the fit left out: its sweep ("bare" or "tool"), its place in it, how far off."""
-
-    sweep: str
-    pose: int
-    sigmas: float
-
-
-@dataclass(frozen=True)
 class Identification:
     """What a calibration found.
 
@@ -110,9 +101,10 @@ class Identification:
     part of the sweep with the tool on, and its standard deviation; offset_change: (6,) that offset
     less the one of the sweep without the tool, with its standard deviation (None after one sweep).
     rmse: (6,) residual of the used readings of the sweep with the tool; sigma: (6,) noise of one
-    averaged reading as the residuals tell it. used_*: masks of the poses used. bias_drift: None
-    unless a bias that drifts was asked for; where it does, each offset is that at its sweep's last
-    pose. mounting: None unless its parameters were asked for.
+    averaged reading as the residuals tell it. used_*: masks of the poses used. outliers: poses that
+    the fit left out: the sweep ("bare" or "tool"), the place in it, and by how many sigmas.
+    bias_drift: None unless a bias that drifts was asked for; where it does, each offset is that at
+    its sweep's last pose. mounting: None unless its parameters were asked for.
     """
 
     load: LoadEstimate
@@ -125,7 +117,7 @@ class Identification:
     sigma: Array
     used_tool: np.ndarray
     used_bare: np.ndarray
-    outliers: tuple[Outlier, ...]
+    outliers: tuple[tuple[str, int, float], ...]
     warnings: tuple[str, ...]
     unresolved: tuple[str, ...] = ()
     bias_drift: SweepBiasDrift | None = None
@@ -428,9 +420,11 @@ def _joined_std(*sweeps: StillPoses) -> Array | None:
     return np.concatenate(known) if len(known) == len(parts) else None
 
 
-def _outliers(fit: RobustFit, indices: np.ndarray, sweep: str) -> tuple[Outlier, ...]:
+def _outliers(
+    fit: RobustFit, indices: np.ndarray, sweep: str
+) -> tuple[tuple[str, int, float], ...]:
     return tuple(
-        Outlier(sweep, pose, float(fit.distance[index]))
+        (sweep, pose, float(fit.distance[index]))
         for pose, index in enumerate(indices)
         if not fit.used[index]
     )

@@ -124,16 +124,13 @@ _FEWEST_PAIRS = 30
 _LARGEST_LAG1 = 0.9
 
 
-@dataclass(frozen=True)
-class StillCellSettings:
-    """When a stretch counts as still; `rim_s` is cut off at both ends."""
-
-    max_rate_rad_s: float = 0.01
-    rim_s: float = 0.2
-    min_duration_s: float = 0.3
-    max_duration_s: float = 10.0
-    max_turn_rad: float = 0.02
-    steady_sigmas: float = 6.0
+# When a stretch counts as still; the rim is cut off at both ends.
+_MAX_RATE_RAD_S = 0.01
+_RIM_S = 0.2
+_MIN_DURATION_S = 0.3
+_MAX_DURATION_S = 10.0
+_MAX_TURN_RAD = 0.02
+_STEADY_SIGMAS = 6.0
 
 
 @dataclass(frozen=True)
@@ -166,49 +163,48 @@ class StillPhases:
         return replace(self, **{name: getattr(self, name)[rows] for name in columns})
 
 
-def find_still_phases(cells: Cells, settings: StillCellSettings | None = None) -> StillPhases:
+def find_still_phases(cells: Cells) -> StillPhases:
     """Return the phases in which the arm was still and the wrench steady."""
-    settings = settings or StillCellSettings()
-    arm_still, joined = _arm_still(cells, settings)
-    steady = joined & _steady(cells, joined, settings)
+    arm_still, joined = _arm_still(cells)
+    steady = joined & _steady(cells, joined)
     phases = []
     # A run of cells, each joined to the next; cut at its rims.
     for start, last_joint in runs(steady):
         stop = last_joint + 1
-        rim_ns = settings.rim_s * 1e9
+        rim_ns = _RIM_S * 1e9
         first, last = cells.start_ns[start] + rim_ns, cells.end_ns[stop - 1] - rim_ns
         rows = np.arange(start, stop)
         rows = rows[(cells.start_ns[rows] >= first) & (cells.end_ns[rows] <= last)]
-        for piece in _pieces(cells, rows, settings):
+        for piece in _pieces(cells, rows):
             length_ns = cells.end_ns[piece[-1]] - cells.start_ns[piece[0]]
-            if len(piece) >= 2 and length_ns >= settings.min_duration_s * 1e9:
+            if len(piece) >= 2 and length_ns >= _MIN_DURATION_S * 1e9:
                 phases.append(cells.rows(piece))
     return _summary(phases, arm_still)
 
 
-def _pieces(cells: Cells, rows: np.ndarray, settings: StillCellSettings) -> Iterator[np.ndarray]:
+def _pieces(cells: Cells, rows: np.ndarray) -> Iterator[np.ndarray]:
     """Return a run's cells cut where it becomes too long or has turned too far."""
     if not len(rows):
         return
     cell_ns = cells.cell_s * 1e9
     length_ns = cells.start_ns[rows[-1]] - cells.start_ns[rows[0]] + cell_ns
     # Pieces of one length, since all phases count alike.
-    longest_ns = length_ns / np.ceil(length_ns / (settings.max_duration_s * 1e9))
+    longest_ns = length_ns / np.ceil(length_ns / (_MAX_DURATION_S * 1e9))
     first = 0
     while first < len(rows):
         rest = rows[first:]
         turned = np.abs(cells.angles[rest] - cells.angles[rest[0]]).max(axis=1)
         late = cells.start_ns[rest] - cells.start_ns[rest[0]] > longest_ns - cell_ns / 2
-        over = np.flatnonzero((turned > settings.max_turn_rad) | late)
+        over = np.flatnonzero((turned > _MAX_TURN_RAD) | late)
         count = max(int(over[0]), 1) if len(over) else len(rest)
         yield rest[:count]
         first += count
 
 
-def _arm_still(cells: Cells, settings: StillCellSettings) -> tuple[np.ndarray, np.ndarray]:
+def _arm_still(cells: Cells) -> tuple[np.ndarray, np.ndarray]:
     """Cells (n,) in which the arm is at rest, and whether (n - 1,) each goes on in the next."""
     quantum = GALEN.angles(ENCODER_QUANTUM)
-    band = allowed_travel(settings.max_rate_rad_s, cells.cell_s, quantum, steps=2.0)
+    band = allowed_travel(_MAX_RATE_RAD_S, cells.cell_s, quantum, steps=2.0)
     still = np.all(cells.spans <= band, axis=1)
     near = np.all(np.abs(np.diff(cells.angles, axis=0)) <= band, axis=1)
     gap = cells.start_ns[1:] - cells.end_ns[:-1]
@@ -216,13 +212,13 @@ def _arm_still(cells: Cells, settings: StillCellSettings) -> tuple[np.ndarray, n
     return still, still[1:] & still[:-1] & near & neighbours
 
 
-def _steady(cells: Cells, joined: np.ndarray, settings: StillCellSettings) -> np.ndarray:
+def _steady(cells: Cells, joined: np.ndarray) -> np.ndarray:
     """Whether (n - 1,) the wrench of each cell goes on in the next."""
     step = np.abs(np.diff(cells.mean, axis=0))
     if not joined.any():
         return np.zeros(len(step), dtype=bool)
     scatter = _MAD_TO_STD * np.median(step[joined], axis=0)
-    return np.all(step <= settings.steady_sigmas * np.maximum(scatter, SENSOR.quantum), axis=1)
+    return np.all(step <= _STEADY_SIGMAS * np.maximum(scatter, SENSOR.quantum), axis=1)
 
 
 def _lag1(phases: list[Cells]) -> Array:

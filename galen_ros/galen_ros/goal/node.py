@@ -46,14 +46,19 @@ class RejectedGoalError(Exception):
 
 
 class RunningGoal:
-    """One running goal and what belongs to it alone."""
+    """One running goal and what belongs to it alone; `warnings`: known from before it began."""
 
     def __init__(
-        self, action: ArmAction, handle: ServerGoalHandle, procedure: GoalProcedure
+        self,
+        action: ArmAction,
+        handle: ServerGoalHandle,
+        procedure: GoalProcedure,
+        warnings: Sequence[str] = (),
     ) -> None:
         self.action = action
         self.handle = handle
         self.procedure: Any = procedure
+        self.warnings = list(warnings)
         self.joints = JointWire(action.node.arm.joint_names)
         self.wrenches = WrenchWire()
         self.subscriptions: list[Subscription] = []

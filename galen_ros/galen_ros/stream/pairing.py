@@ -21,8 +21,8 @@ from galen_model.arrays import Array
 from galen_ros.parameters import param
 from galen_ros.stream.regular_run import Arrivals, find_regular_run
 from galen_ros.stream.samples import (
+    NO_JOINTS_GAP,
     JointBuffer,
-    NoJoints,
     Notice,
     PairedWrench,
     Rejected,
@@ -453,8 +453,8 @@ class WrenchPairing:
 
     def _pair(self, stamp_ns: int, raw: Array, tag: object, number: int) -> Result:
         joints = self._joints.joints_at(stamp_ns)
-        if isinstance(joints, NoJoints):
-            if joints is NoJoints.GAP:
+        if isinstance(joints, str):
+            if joints == NO_JOINTS_GAP:
                 detail = (
                     "joint_states are stale: two samples more than"
                     f" {self.parameters.max_joint_age_s:g} s apart around a wrench"
@@ -463,7 +463,7 @@ class WrenchPairing:
                 return self.reject(stamp_ns, *reason, number)
             newest = self._joints.newest_ns
             hint = "" if newest is None else self._clock_hint(newest - stamp_ns)
-            detail = f"no joint angles: {joints.value}{hint}"
+            detail = f"no joint angles: {joints}{hint}"
             return self.reject(stamp_ns, *self._joint_reason(Rejection.NO_JOINTS, detail), number)
         if math.isnan(joints[0]):
             jump = self._jump

@@ -175,13 +175,7 @@ def surely_finite(wrenches: Array) -> np.ndarray:
 # Recent joints
 
 
-class NoJoints(Enum):
-    """Why there are no joints at a stamp."""
-
-    EMPTY = "no joint sample was received"
-    NOT_YET = "no joint sample at or after this stamp was received yet"
-    TOO_OLD = "the stamp lies before the oldest joint sample kept"
-    GAP = "the joint samples around this stamp lie too far apart"
+NO_JOINTS_GAP = "the joint samples around this stamp lie too far apart"
 
 
 class JointBuffer:
@@ -278,27 +272,29 @@ class JointBuffer:
         good &= np.isfinite(found).all(axis=1)
         return found, good, np.where(exact, after, before)
 
-    def joints_at(self, stamp_ns: int) -> tuple[float, ...] | NoJoints:
+    def joints_at(self, stamp_ns: int) -> tuple[float, ...] | str:
         """Interpolate positions (k,) at a stamp, linear between the two samples around it.
+
+        A text: why there are none.
 
         A sample with exactly this stamp is returned as it is. Never extrapolates.
         """
         stamps = self._stamps
         if not stamps:
-            return NoJoints.EMPTY
+            return "no joint sample was received"
         if stamp_ns == stamps[-1]:  # the usual case: driver stamps wrench and joints alike
             return self._positions[-1]
         if stamp_ns > stamps[-1]:
-            return NoJoints.NOT_YET
+            return "no joint sample at or after this stamp was received yet"
         after = bisect_left(stamps, stamp_ns)
         if stamps[after] == stamp_ns:
             return self._positions[after]
         if after == 0:
-            return NoJoints.TOO_OLD
+            return "the stamp lies before the oldest joint sample kept"
         before = after - 1
         span_ns = stamps[after] - stamps[before]
         if span_ns > self._max_gap_ns:
-            return NoJoints.GAP
+            return NO_JOINTS_GAP
         w = (stamp_ns - stamps[before]) / span_ns
         sides = zip(self._positions[before], self._positions[after], strict=True)
         between = tuple([low + w * (high - low) for low, high in sides])
