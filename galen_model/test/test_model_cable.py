@@ -117,7 +117,7 @@ def test_the_pull_is_the_conditional_mean_and_covariance_of_the_process():
     # space of these (information form) instead of in that of the readings.
     joints, at = grid(4, 4), between(3)
     sweep = sweep_of(pull(joints), joints, scatter=0.2)
-    drag = replace(fit_cable(sweep, "point", WHEN).drag, inflation=1.0)
+    drag = replace(fit_cable(sweep, "point", WHEN)[0], inflation=1.0)
     every = np.concatenate([joints, at])
     kernel = smooth_kernel(every, every, drag.posterior.lengths)
     prior = drag.amplitude[0] ** 2 * kernel + 1.0 + 1e-9 * np.eye(len(every))
@@ -150,7 +150,7 @@ def test_unseen_poses_are_predicted_and_the_attachment_found(learned):
     assert np.abs(error[:, 3:]).max() < 3e-4
     std = np.sqrt([np.diag(drag.posterior.covariance(q)) for q in at])
     assert np.mean(np.abs(error) < 1.96 * std) > 0.85
-    point = fit_cable(sweep_of(pull(grid()), grid()), "point", WHEN).drag
+    point = fit_cable(sweep_of(pull(grid()), grid()), "point", WHEN)[0]
     assert np.abs(point.attachment_m - AT).max() < 0.001
 
 
@@ -193,7 +193,7 @@ def test_outside_the_poses_seen_it_fades_to_nothing_without_a_kink(learned):
 
 def test_poses_at_several_places_of_the_platform_are_covered():
     joints = np.concatenate([grid(5, 4) + [dx, 0.0, 0.0, 0.0, 0.0] for dx in (0.0, 0.06)])
-    drag = fit_cable(sweep_of(pull(joints), joints), "point", WHEN).drag
+    drag = fit_cable(sweep_of(pull(joints), joints), "point", WHEN)[0]
     assert spacing_rad(joints) == pytest.approx(0.6, abs=0.05)
     at = between() + [0.03, 0.0, 0.0, 0.0, 0.0]
     error = drag.posterior.readings(at) - pull(at)
