@@ -56,8 +56,7 @@ from galen_diagnosis.report.report import (
     write_output,
 )
 from galen_diagnosis.tables.conclusion import diagnose_blocks
-from galen_diagnosis.tables.joint_rows import prepare_joint
-from galen_diagnosis.tables.table_rows import prepare_table
+from galen_diagnosis.tables.rows import prepare_joint, prepare_table
 
 Kind = Literal["recording", "table", "joint"]
 EXIT_GAP = 3
