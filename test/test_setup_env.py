@@ -409,31 +409,22 @@ def packages(tmp_path):
     return tmp_path
 
 
-@pytest.mark.parametrize("name", ["setup.py", "package.xml", "msg/A.msg"])
-def test_a_changed_build_file_asks_for_a_build(packages, name):
-    before = build.source_key(packages)
-    (packages / "pkg" / name).write_text("second\n")
-    assert build.source_key(packages) != before
-
-
-@pytest.mark.parametrize("name", ["msg/B.msg", "launch/b.launch.py", "config/a.yaml"])
-def test_a_new_file_that_is_installed_asks_for_a_build(packages, name):
-    before = build.source_key(packages)
-    path = packages / "pkg" / name
-    path.parent.mkdir(exist_ok=True)
-    path.touch()
-    assert build.source_key(packages) != before
-
-
 @pytest.mark.parametrize(
-    "name", ["pkg/node.py", "pkg/new.py", "test/test_b.py", "README.md", "launch/a.launch.py"]
+    ("builds", "names"),
+    [
+        (True, ["setup.py", "package.xml", "msg/A.msg"]),  # changed
+        (True, ["msg/B.msg", "launch/b.launch.py", "config/a.yaml"]),  # new, and installed
+        (False, ["pkg/node.py", "pkg/new.py", "pkg/__pycache__/node.pyc"]),
+        (False, ["test/test_b.py", "README.md", "launch/a.launch.py"]),
+    ],
 )
-def test_edits_that_are_live_ask_for_none(packages, name):
-    before = build.source_key(packages)
-    (packages / "pkg" / name).write_text("second\n")
-    (packages / "pkg" / "pkg" / "__pycache__").mkdir(exist_ok=True)
-    (packages / "pkg" / "pkg" / "__pycache__" / "node.pyc").touch()
-    assert build.source_key(packages) == before
+def test_only_what_is_not_live_asks_for_a_build(packages, builds, names):
+    for name in names:
+        before = build.source_key(packages)
+        path = packages / "pkg" / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_text("second\n")
+        assert (build.source_key(packages) != before) == builds, name
 
 
 def fake_colcon(found, text):
