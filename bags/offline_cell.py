@@ -192,14 +192,11 @@ class CellBag:
             (self._wrench_raw, self._wrench_bytes.fill(stamp_ns, sample.wrench)),
         ]
         if self._tracker and sample.tracker is not None:
-            for topic, seen in (
-                (self._tool_pose, sample.tracker.tool),
-                (self._base_pose, sample.tracker.base),
-            ):
+            topics = (self._tool_pose, self._base_pose)
+            for topic, seen in zip(topics, sample.tracker, strict=True):
                 if seen is not None:  # there is no tool marker without a tool
-                    data = self._pose_bytes.fill(
-                        stamp_ns, _rounded(seen.position_m), _rounded(seen.quaternion)
-                    )
+                    position, turn = seen
+                    data = self._pose_bytes.fill(stamp_ns, _rounded(position), _rounded(turn))
                     messages.append((topic, data))
         for number, (topic, data) in enumerate(messages):
             self._bag.write(topic, stamp_ns + DELAY_NS + number * NEXT_MESSAGE_NS, data)

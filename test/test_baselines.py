@@ -160,12 +160,12 @@ def compensate_live(bag, tool, seconds, tare_at_s=None, **parameters):
         first_ns = at_ns if first_ns is None else first_ns
         if tare_at_s is not None and at_ns - first_ns >= tare_at_s * 1e9:
             tare_at_s = None
-            compensator.start_tare(tared.append)
+            compensator.start_tare(lambda *answer: tared.append(answer))
         if is_wrench:
             out += compensator.push_wrench(at_ns, values, "ft_sensor")
         else:
             out += compensator.push_joints(at_ns, tuple(values))
-    assert all(outcome.success for outcome in tared)
+    assert all(offset is not None for _, offset in tared)
     out = [one for one in out if hasattr(one, "wrench")]
     return np.array([one.stamp_ns for one in out]), np.array([one.wrench for one in out])
 

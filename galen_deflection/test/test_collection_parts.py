@@ -8,8 +8,6 @@ import pytest
 from collection_fake_arm import TIP
 from galen_deflection.collection.node import summary
 from galen_deflection.collection.plan import (
-    NOTHING,
-    Collected,
     CollectionParameters,
     ErrorCode,
     Finished,
@@ -222,9 +220,10 @@ def test_a_place_that_can_not_be_written_is_named(tmp_path):
 
 
 def test_the_summary_is_json_without_nan():
-    collected = Collected(3, ("set 1, position 2, 6 N along -x: reason",), NOTHING, False, ("odd",))
+    left_out = ("set 1, position 2, 6 N along -x: reason",)
+    end = Finished(ErrorCode.CANCELED, "canceled", 3, left_out, warnings=("odd",))
     request = CollectPushes.Goal(name="monday", tool="retractor", push_by_service=True)
-    content = summary(request, plan(), Finished(ErrorCode.CANCELED, "canceled", collected), 12)
+    content = summary(request, plan(), end, 12)
     read = json.loads(json.dumps(content, allow_nan=False))
     assert read["calibration"] == {"shift": None, "holds": False}
     assert read["error"] == {"code": "CANCELED", "message": "canceled"}

@@ -134,7 +134,7 @@ def ended(world, code, *words):
     assert world.end is not None
     assert world.end.error_code == code, world.end
     assert all(word in world.end.error_msg for word in words), world.end.error_msg
-    return world.end.collected
+    return world.end
 
 
 def failed(world, code, *words):

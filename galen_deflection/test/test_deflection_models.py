@@ -40,7 +40,7 @@ def test_springs_give_the_nominal_deflection_and_are_linear_in_compliances():
     """Against the arm's own deflection, and its differences over each stiffness."""
     joints = places(40)
     wrench = np.random.default_rng(1).normal(size=(40, 6)) * [10, 10, 10, 1, 1, 1]
-    design = SpringRun(SpringBasis(TIP_M)).rows(joints, wrench).design
+    design = SpringRun(SpringBasis(TIP_M)).rows(joints, wrench)[1]
     nominal = [kind.compliance for kind in kinds()]
     theirs = [GALEN.deflection(q, w, TIP_M) for q, w in zip(joints, wrench, strict=True)]
     np.testing.assert_allclose(design @ nominal, theirs, rtol=0, atol=1e-15)

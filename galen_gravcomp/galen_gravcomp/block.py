@@ -194,12 +194,13 @@ class _Pushing:
         """Put the outputs of single samples where those of regular runs are."""
         if not self._single:
             return
+        joints = np.array([single.joints for single in self._single])
         self._parts.append(
             BlockResult(
                 np.array([single.number for single in self._single], dtype=np.int64),
                 np.array([single.stamp_ns for single in self._single], dtype=np.int64),
                 np.array([single.wrench for single in self._single]),
-                np.array([single.joints[-2:] for single in self._single]),
+                self._sink.arm.angles(joints) if self._sink.pairs_positions else joints,
             )
         )
         self._single = []

@@ -31,7 +31,7 @@ from galen_gravcomp.calibration_monitor import CalibrationMonitor
 from galen_gravcomp.corrections.bias_drift import BiasDrift
 from galen_gravcomp.corrections.cable import CablePull
 from galen_gravcomp.corrections.inertial import ImuMotion, InertialForces, JointMotion
-from galen_gravcomp.corrections.tare import TareOutcome, TareRamp, TareWindow
+from galen_gravcomp.corrections.tare import OnTared, TareRamp, TareWindow
 from galen_gravcomp.parameters import GravcompParameters
 
 _MOTIONS: dict[str, type[InertialForces]] = {"joints": JointMotion, "imu": ImuMotion}
@@ -164,8 +164,8 @@ class Compensator:
 
     # Tare
 
-    def start_tare(self, on_done: Callable[[TareOutcome], None]) -> None:
-        """Average the compensated wrench from now on; `on_done` gets the outcome, once.
+    def start_tare(self, on_done: OnTared) -> None:
+        """Average the compensated wrench from now on; `on_done` is called once.
 
         Raises TareRejectedError when there is nothing to tare.
         """
@@ -183,7 +183,7 @@ class Compensator:
         """End a running tare without an effect."""
         if self._window is not None:
             window, self._window = self._window, None
-            window.finish(TareOutcome(False, f"not tared: {why}"))
+            window.finish(f"not tared: {why}", None)
 
     def set_bias_drift(self, enabled: bool) -> None:
         """Switch the bias drift's estimate on or off."""
@@ -284,13 +284,13 @@ class Compensator:
     def _end_tare(self, window: TareWindow, stamp_ns: int, angles: tuple[float, ...]) -> None:
         """Its offset holds what the bias drift subtracted: that goes as the tare comes."""
         self._window = None
-        outcome = window.evaluate()
-        if outcome.offset is not None:
+        message, offset = window.evaluate()
+        if offset is not None:
             before = self._settled_offset
-            self._ramp.start(stamp_ns, outcome.offset)
-            self.bias_drift.tared(stamp_ns, angles, outcome.offset)
+            self._ramp.start(stamp_ns, offset)
+            self.bias_drift.tared(stamp_ns, angles, offset)
             self._offset_changed(before)
-        window.finish(outcome)
+        window.finish(message, offset)
 
     def _push_run(self, arrivals: Arrivals) -> tuple[int, BlockResult]:
         """Push the regular samples at the start of `arrivals`, none during a tare; how many."""

@@ -19,7 +19,6 @@ from sensor_msgs.msg import Imu
 from std_srvs.srv import SetBool, Trigger
 
 from galen_gravcomp.compensator import Compensator, TareRejectedError
-from galen_gravcomp.corrections.tare import TareOutcome
 from galen_gravcomp.monitor import Monitor
 from galen_gravcomp.parameters import GravcompParameters
 from galen_gravcomp.tool_services import ToolServices
@@ -205,22 +204,22 @@ class GravcompNode(StreamNode):
     def _on_tare(
         self, _request: Trigger.Request, response: Trigger.Response, respond: Respond
     ) -> None:
-        def on_done(outcome: TareOutcome) -> None:
-            response.success, response.message = outcome.success, outcome.message
+        def on_done(message: str, offset: Array | None) -> None:
+            response.success, response.message = offset is not None, message
             self._tools.active_tool.update()
             respond(response)
             # rclpy's logger wants one severity for each line of code, and raises otherwise.
-            if outcome.success:
-                self.get_logger().info(outcome.message)
+            if response.success:
+                self.get_logger().info(message)
             else:
-                self.get_logger().warning(outcome.message)
+                self.get_logger().warning(message)
 
         try:
             if not self.active:
                 raise TareRejectedError("not tared: the node is inactive")
             self._compensator.start_tare(on_done)
         except TareRejectedError as error:
-            on_done(TareOutcome(False, str(error)))
+            on_done(str(error), None)
             return
         self._tare_progress = (self._compensator.compensated, time.monotonic())
         self._announce(always=True)

@@ -11,7 +11,6 @@ import pytest
 from calibration_files import pointer
 from galen_gravcomp.compensator import Compensator, TareRejectedError
 from galen_gravcomp.corrections import tare as tare_module
-from galen_gravcomp.corrections.tare import TareOutcome
 from galen_gravcomp.parameters import GravcompParameters
 from galen_model.files.calibration_file import CalibrationFile
 from galen_ros.stream import pairing as pairing_module
@@ -172,8 +171,8 @@ class Way:
             else:
                 self.rejected.append(result)
 
-    def on_done(self, outcome: TareOutcome) -> None:
-        self.log.append(outcome.message)
+    def on_done(self, message: str, offset: np.ndarray | None) -> None:
+        self.log.append(message)
 
     def act(self, action: str) -> None:
         """What a user does between two samples."""

@@ -33,7 +33,7 @@ from galen_sim_driver.parameters import DRIVER_NODE, DriverParameters, EffectPar
 from galen_sim_driver.plant.cell import Plant, Sample
 from galen_sim_driver.plant.config import VELOCITY, HandPush, PlantError
 from galen_sim_driver.plant.motion import Trajectory, TrajectoryPoint
-from galen_sim_driver.plant.sensors import MarkerPose, TrackerSample, Zeroing
+from galen_sim_driver.plant.sensors import MarkerPose, Zeroing
 
 _CLOCK_RATE_HZ = 100.0
 # Slower than this part of what was asked is worth a warning.
@@ -85,8 +85,8 @@ def fill_pose(message: PoseStamped, stamp_ns: int, pose: MarkerPose) -> None:
     """Write stamp and pose into `message`."""
     fill_stamp(message.header.stamp, stamp_ns)
     position, orientation = message.pose.position, message.pose.orientation
-    position.x, position.y, position.z = pose.position_m
-    orientation.x, orientation.y, orientation.z, orientation.w = pose.quaternion
+    (position.x, position.y, position.z), turn = pose
+    orientation.x, orientation.y, orientation.z, orientation.w = turn
 
 
 class Pacer:
@@ -236,14 +236,11 @@ class SimDriverNode(ManagedNode):
         wrench_ns = stamp_ns + self._plant.wrench_delay_ns
         self._wrench_raw.publish(self._wrench_bytes.fill(wrench_ns, sample.wrench))
         if sample.tracker is not None:
-            self._publish_tracker(stamp_ns + self._plant.tracker_delay_ns, sample.tracker)
-
-    def _publish_tracker(self, stamp_ns: int, tracked: TrackerSample) -> None:
-        if tracked.tool is not None:
-            fill_pose(self._pose, stamp_ns, tracked.tool)
-            self._tool_pose.publish(self._pose)
-        fill_pose(self._pose, stamp_ns, tracked.base)
-        self._base_pose.publish(self._pose)
+            publishers = (self._tool_pose, self._base_pose)
+            for publisher, marker in zip(publishers, sample.tracker, strict=True):
+                if marker is not None:
+                    fill_pose(self._pose, stamp_ns + self._plant.tracker_delay_ns, marker)
+                    publisher.publish(self._pose)
 
     def _publish_description(self) -> None:
         tool = self._config.tools.get(self._plant.tool)

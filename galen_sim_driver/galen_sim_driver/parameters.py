@@ -200,10 +200,15 @@ def _fields() -> list[tuple[str, Any, Any]]:
     return found
 
 
+def _validate(parameters: Any) -> None:
+    """Raise ParameterError or ConfigError, naming the parameter."""
+    effects_of(parameters)
+
+
 EffectParameters: type[Any] = dataclasses.make_dataclass(
     "EffectParameters",
     _fields(),
-    namespace={"__module__": __name__, "validate": lambda self: effects_of(self) and None},
+    namespace={"__module__": __name__, "validate": _validate},
     frozen=True,
 )
 """All effects' parameters, as `galen_ros.node.parameters.declare_parameters` takes them."""

@@ -131,32 +131,31 @@ class CollectAction(ArmAction):
         """Return an end that the procedure doesn't know of."""
         if goal is None:
             return Finished(ErrorCode(code), message)
-        return Finished(ErrorCode(code), message, goal.procedure.collected)
+        return goal.procedure.finish(code, message)
 
     def make_result(
         self, handle: ServerGoalHandle, end: Finished, goal: _Goal | None
     ) -> tuple[CollectPushes.Result, str]:
         """Return the action's result, and a sentence for /diagnostics."""
-        collected = end.collected
-        for warning in collected.warnings:
+        for warning in end.warnings:
             self.node.get_logger().warning(warning)
         result = CollectPushes.Result(
             error_code=int(end.error_code),
             error_msg=end.error_msg,
             directory=goal.directory if goal else "",
-            pushes=collected.pushes,
+            pushes=end.pushes,
             pushes_asked=goal.plan.total if goal else 0,
-            left_out=list(collected.left_out),
-            calibration_shift=[float(value) for value in collected.shift],
-            calibration_holds=collected.holds,
+            left_out=list(end.left_out),
+            calibration_shift=[float(value) for value in end.shift],
+            calibration_holds=end.holds,
             messages=goal.messages if goal else 0,
-            warnings=list(collected.warnings),
+            warnings=list(end.warnings),
         )
         name = named(handle.request.name)
         last = f"{name} not collected: {end.error_code.name}: {end.error_msg}"
         if end.error_code == ErrorCode.NONE:
             last = (
-                f"{name} collected: {collected.pushes} of {result.pushes_asked} pushes,"
+                f"{name} collected: {end.pushes} of {result.pushes_asked} pushes,"
                 f" {result.directory}"
             )
         return result, last
@@ -280,10 +279,7 @@ class CollectAction(ArmAction):
             self._close_recording(goal)
         except BagError as error:
             end = _worse(end, str(error))
-        collected = end.collected
-        end = replace(
-            end, collected=replace(collected, warnings=(*collected.warnings, *goal.problems))
-        )
+        end = replace(end, warnings=(*end.warnings, *goal.problems))
         if not goal.messages:
             goal.folder.discard()
             return end
@@ -332,8 +328,7 @@ def summary(
     request: CollectPushes.Goal, plan: CollectionPlan, end: Finished, messages: int
 ) -> dict[str, Any]:
     """Make the content of `collection.json`; SI units, lengths m, angles rad, loads N and N.m."""
-    collected = end.collected
-    shift = collected.shift
+    shift = end.shift
     return {
         "schema_version": SCHEMA_VERSION,
         "name": request.name,
@@ -346,15 +341,15 @@ def summary(
             "pushes": [numbers(push.wrench) for push in plan.pushes],
             "push_by_service": request.push_by_service,
         },
-        "pushes": collected.pushes,
+        "pushes": end.pushes,
         "pushes_asked": plan.total,
-        "left_out": list(collected.left_out),
+        "left_out": list(end.left_out),
         "calibration": {
             "shift": numbers(shift) if np.all(np.isfinite(shift)) else None,
-            "holds": collected.holds,
+            "holds": end.holds,
         },
         "messages": messages,
-        "warnings": list(collected.warnings),
+        "warnings": list(end.warnings),
     }
 
 

@@ -111,26 +111,19 @@ class Feedback:
 
 
 @dataclass(frozen=True)
-class Collected:
-    """What came of it.
+class Finished(End):
+    """The collection is over, and this has come of it.
 
     left_out: pushes that were not as asked, each with its reason. shift (6,): by the second
     calibration set, as `collection_shift` has it, NaN without one; holds: within the tolerance.
     """
 
+    error_code: ErrorCode
     pushes: int = 0
     left_out: tuple[str, ...] = ()
     shift: Array = field(default_factory=lambda: NOTHING)
     holds: bool = False
     warnings: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class Finished(End):
-    """The collection is over, and this has come of it."""
-
-    error_code: ErrorCode
-    collected: Collected = field(default_factory=Collected)
 
 
 Command = MoveTo | Stop | Record | Push | Feedback | Finished

@@ -27,7 +27,6 @@ from galen_ros.goal.procedure import JOINTS, GoalProcedure
 
 from galen_deflection.collection.plan import (
     NOTHING,
-    Collected,
     CollectionParameters,
     CollectionPlan,
     ErrorCode,
@@ -117,17 +116,17 @@ class CollectionProcedure(GoalProcedure):
         """Pushes done or left out, and pushes in all sets."""
         return self._good + len(self._left_out), self._plan.total
 
-    @property
-    def collected(self) -> Collected:
-        """What has come of it so far."""
+    def finish(self, code: IntEnum, message: str) -> Finished:
+        """Return an end with what has come of it so far."""
         warnings = list(self._warnings)
         if self._clock.jumps:
             warnings.append(
                 f"time stamps jumped {self._clock.jumps} times; the last: {self._clock.last_jump}"
             )
-        return Collected(
-            self._good, tuple(self._left_out), self._shift, self._holds, tuple(warnings)
-        )
+        return Finished(
+            ErrorCode(code), message, self._good, tuple(self._left_out), self._shift,
+            self._holds, tuple(warnings),
+        )  # fmt: skip
 
     # ---- events
 
@@ -197,7 +196,7 @@ class CollectionProcedure(GoalProcedure):
             super()._check_patience()
 
     def _make_end(self, code: IntEnum, message: str) -> Finished:
-        return Finished(ErrorCode(code), message, self.collected)
+        return self.finish(code, message)
 
     def _drop_watches(self) -> None:
         self._no_contact = self._watch = None

@@ -29,7 +29,6 @@ from galen_deflection.measurement.samples import DeflectionError, DeflectionSamp
 from galen_deflection.models.interface import FitSettings, FittedRange, fitted_on
 from galen_deflection.models.spring_model import (
     Parameter,
-    Rows,
     SpringBasis,
     SpringModel,
     SpringRun,
@@ -105,15 +104,15 @@ def sums(basis: SpringBasis, samples: DeflectionSamples, settings: FitSettings) 
     size = len(basis.parameters)
     information, right = np.empty((len(parts), size, size)), np.empty((len(parts), size))
     square, wrench_at_tip = np.empty(len(parts)), np.empty((len(samples), 6))
-    for k, (part, rows) in enumerate(_rows(basis, samples, parts)):
+    for k, (part, at_tip, rows) in enumerate(_rows(basis, samples, parts)):
         some = used[part]
-        design = (rows.design[some] * weight[:, None]).reshape(-1, size)
+        design = (rows[some] * weight[:, None]).reshape(-1, size)
         measured = (samples.deflection[part][some] * weight).ravel()
         # not by BLAS: its threads, waked for so little, wait for a busy machine's cores
         information[k] = np.einsum("rp,rq->pq", design, design)
         right[k] = np.einsum("rp,r->p", design, measured)
         square[k] = measured @ measured
-        wrench_at_tip[part] = rows.wrench_at_tip
+        wrench_at_tip[part] = at_tip
     return Sums(information, right, square, folds(samples, parts), wrench_at_tip, used)
 
 
@@ -242,13 +241,14 @@ def held_out_cost(totals: Sums, basis: SpringBasis) -> Array:
 
 def _rows(
     basis: SpringBasis, samples: DeflectionSamples, parts: Sequence[slice]
-) -> Iterator[tuple[slice, Rows]]:
-    """Yield the blocks in their order, each segment in one run."""
+) -> Iterator[tuple[slice, Array, Array]]:
+    """Yield blocks in their order with wrenches at the tip and designs, a run a segment."""
     beginnings = {segment.start for segment in samples.segments()}
     for part in parts:
         if part.start in beginnings:
             run = SpringRun(basis)
-        yield part, run.rows(samples.joints[part], samples.wrench[part])
+        at_tip, design, _ = run.rows(samples.joints[part], samples.wrench[part])
+        yield part, at_tip, design
 
 
 def _inflation(totals: Sums, solution: Solution) -> float:
@@ -283,8 +283,9 @@ def _discrepancy(basis: SpringBasis, samples: DeflectionSamples, totals: Sums) -
     """Covariance (6, 6) of the residuals that is more than the noise's."""
     values = _values_without(totals, basis)
     found = np.zeros((6, 6))
-    for (part, rows), fold in zip(_rows(basis, samples, blocks(samples)), totals.fold, strict=True):
-        residual = (samples.deflection[part] - rows.design @ values[int(fold)]) / samples.noise
+    rows = _rows(basis, samples, blocks(samples))
+    for (part, _, design), fold in zip(rows, totals.fold, strict=True):
+        residual = (samples.deflection[part] - design @ values[int(fold)]) / samples.noise
         residual = residual[totals.used[part]]
         found += residual.T @ residual
     return beyond_noise(found / np.count_nonzero(totals.used), samples.noise)

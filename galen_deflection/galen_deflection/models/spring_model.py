@@ -151,18 +151,6 @@ class SpringBasis:
         return replace(self, operators=chosen)
 
 
-class Rows(NamedTuple):
-    """What n samples give.
-
-    wrench_at_tip (n, 6): base_link. design (n, 6, p). deviation (n, 6, m): of each single operator
-    times its weight, a standard deviation for the unknown past; None where it is known.
-    """
-
-    wrench_at_tip: Array
-    design: Array
-    deviation: Array | None
-
-
 class SpringRun:
     """A basis on one segment, from an unloaded start."""
 
@@ -217,11 +205,16 @@ class SpringRun:
             loads = np.concatenate([loads, motion], axis=1)
         return at_tip, elastic, jacobian, loads
 
-    def rows(self, joints: Array, wrench: Array) -> Rows:
-        """Take the next samples: joints (n, j), wrenches (n, 6) in ft_sensor."""
+    def rows(self, joints: Array, wrench: Array) -> tuple[Array, Array, Array | None]:
+        """Take the next samples: joints (n, j), wrenches (n, 6) in ft_sensor.
+
+        Returns wrenches (n, 6) at the tip in base_link, the design (n, 6, p), and (n, 6, m), of
+        each single operator times its weight, a standard deviation for the unknown past; None
+        where it is known.
+        """
         at_tip, elastic, jacobian, loads = self.loads(joints, wrench)
         if not self._plays:
-            return Rows(at_tip, elastic, None)
+            return at_tip, elastic, None
         inputs = loads.take(self._column, axis=1)
         output, unknown = self._played(inputs)
         if self._any_stop:
@@ -229,10 +222,10 @@ class SpringRun:
         columns = jacobian.take(self._column, axis=2)
         remembered = (columns * output[:, None, :]) @ self._of_operator
         design = np.concatenate([elastic, remembered], axis=2)
-        return Rows(at_tip, design, columns * unknown[:, None, :] if unknown.any() else None)
+        return at_tip, design, columns * unknown[:, None, :] if unknown.any() else None
 
     def start_covariance(self, deviation: Array, values: Array) -> Array:
-        """Return the covariance (n, 6, 6) by the unknown past, of `Rows` and parameters (p,)."""
+        """Return the covariance (n, 6, 6) by the unknown past, of `rows` and parameters (p,)."""
         by_source = (deviation * values[self._parameter]) @ self._source
         return np.asarray(by_source @ by_source.transpose(0, 2, 1))
 
@@ -302,15 +295,15 @@ class SpringModel:
         self, run: SpringRun, joints: Array, wrench: Array
     ) -> tuple[PredictedSamples, Array | None]:
         """Predictions, and which part of their covariance (n, 6, 6) the unknown start has."""
-        rows = run.rows(joints, wrench)
-        mean = rows.design @ self.values
-        covariance = rows.design @ self.covariance @ rows.design.transpose(0, 2, 1)
+        at_tip, design, deviation = run.rows(joints, wrench)
+        mean = design @ self.values
+        covariance = design @ self.covariance @ design.transpose(0, 2, 1)
         covariance += self.discrepancy
         start = None
-        if rows.deviation is not None:
-            start = run.start_covariance(rows.deviation, self.values)
+        if deviation is not None:
+            start = run.start_covariance(deviation, self.values)
             covariance += start
-        outside = self.fitted_range.left_by(joints, rows.wrench_at_tip)
+        outside = self.fitted_range.left_by(joints, at_tip)
         return PredictedSamples(mean, covariance, outside), start
 
     def to_json(self) -> dict[str, Any]:

@@ -180,26 +180,15 @@ FORMS: dict[str, tuple[tuple[str, ...], ...]] = {
 ones first."""
 
 
-class Chosen(NamedTuple):
-    """A form with its terms, and the mean square (rad^2) that they left on parts held out.
-
-    next_best: the terms of its next best grid; the same where it has only one.
-    """
-
-    form: str
-    terms: tuple[str, ...]
-    held_out: float
-    next_best: tuple[str, ...]
-
-
 def choose(
     sums: CellSums, parts: Sequence[int], common: Sequence[str]
-) -> tuple[dict[str, Chosen], Chosen]:
-    """Return each form with the terms that hold-outs among these parts choose, and the best form.
+) -> tuple[dict[str, tuple[tuple[str, ...], tuple[str, ...]]], str]:
+    """Return the terms that hold-outs among these parts choose for each form, and the best form.
 
-    common: terms that all forms but the constant have.
+    Beside them the terms of the form's next best grid; the same where it has only one. common:
+    terms that all forms but the constant have.
     """
-    found = {}
+    found, left = {}, {}
     for name, grids in FORMS.items():
         if name == COMMON_TERMS and not common:
             continue
@@ -209,9 +198,10 @@ def choose(
         at = _first_good(costs)
         others = [k for k in range(len(costs)) if k != at] or [at]
         next_best = candidates[min(others, key=costs.__getitem__)]
-        found[name] = Chosen(name, candidates[at], costs[at], next_best)
-    physical = [one for name, one in found.items() if name not in (CONSTANT, COMMON_TERMS)]
-    return found, physical[_first_good([one.held_out for one in physical])]
+        found[name] = candidates[at], next_best
+        left[name] = costs[at]
+    physical = [name for name in found if name not in (CONSTANT, COMMON_TERMS)]
+    return found, physical[_first_good([left[name] for name in physical])]
 
 
 def _held_out_cost(sums: CellSums, parts: Sequence[int], terms: Sequence[str]) -> float:
@@ -281,12 +271,12 @@ def compare(
         designs = [design(run, scales) for run in runs]
         sums = CellSums.of(runs, parts, designs)
         forms, best = choose(sums, trained_on, common)
-        chosen.append(best.form)
-        for name, form in {**forms, OURS: best}.items():
-            weights = fit_terms(sums, sums.of_parts(trained_on), form.terms)
+        chosen.append(best)
+        for name, (terms, _) in {**forms, OURS: forms[best]}.items():
+            weights = fit_terms(sums, sums.of_parts(trained_on), terms)
             kept = predictions.setdefault(name, [np.full(len(run), np.nan) for run in runs])
-            for lag, some, terms in zip(kept, parts.rows([part]), designs, strict=True):
-                lag[some] = (terms @ weights)[some]
+            for lag, some, columns in zip(kept, parts.rows([part]), designs, strict=True):
+                lag[some] = (columns @ weights)[some]
         on_part()
     lag_std = float(np.std(np.concatenate([run.lag for run in runs])))
     readings = np.array([sum(some.sum() for some in parts.rows([k])) for k in range(count)])
@@ -374,13 +364,14 @@ def estimate(comparison: Comparison, form: str | None = None) -> JointParameters
     scales = Scales.of(runs, parts.rows(every), WINDOW_S)
     sums = CellSums.of(runs, parts, [design(run, scales) for run in runs])
     forms, best = choose(sums, every, common)
-    best = best if form is None else forms[form]
+    form = form or best
+    terms, next_best = forms[form]
     plain_terms = ("offset", *common, "spring", "direction")
     plain = _estimates(sums, scales, plain_terms, bounded=False)
     wanted = ("compliance", "direction", *(("delay",) * ("delay" in common)))
     return JointParameters(
-        best.form,
-        _estimates(sums, scales, best.terms, bounded=True, otherwise=best.next_best),
+        form,
+        _estimates(sums, scales, terms, bounded=True, otherwise=next_best),
         {name: plain[name] for name in wanted},
     )
 

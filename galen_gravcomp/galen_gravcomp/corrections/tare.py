@@ -1,7 +1,6 @@
 """Tare: the residual wrench, averaged at rest and subtracted along a ramp."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from galen_model.arrays import Array
@@ -15,13 +14,8 @@ MAX_STD_FORCE_N = 0.3
 MAX_STD_TORQUE_NM = 0.02
 
 
-@dataclass(frozen=True)
-class TareOutcome:
-    """Answer to a tare request; `offset` (6,) in N and N.m, sensor frame, or None if rejected."""
-
-    success: bool
-    message: str
-    offset: Array | None = None
+OnTared = Callable[[str, Array | None], None]
+"""Gets the answer to a tare request, and the offset (6,), N and N.m, None if it is rejected."""
 
 
 class TareWindow:
@@ -31,7 +25,7 @@ class TareWindow:
         self,
         parameters: GravcompParameters,
         after_ns: int | None,
-        on_done: Callable[[TareOutcome], None],
+        on_done: OnTared,
         angle_names: Sequence[str],
     ) -> None:
         """Take only samples stamped later than `after_ns` (None: any)."""
@@ -55,12 +49,12 @@ class TareWindow:
         self._wrenches.append(untared)
         return stamp_ns - self._stamps[0] >= self._parameters.tare_window_s * 1e9
 
-    def evaluate(self) -> TareOutcome:
-        """Mean of the window's wrenches, or why they do not make a tare."""
+    def evaluate(self) -> tuple[str, Array | None]:
+        """Return the answer, and the mean of the window's wrenches where they make a tare."""
         wrenches = np.array(self._wrenches)
         problem = self._unsteady(wrenches)
         if problem:
-            return TareOutcome(False, f"not tared: {problem}")
+            return f"not tared: {problem}", None
         p, offset = self._parameters, wrenches.mean(axis=0)
         for what, part, limit, parameter, unit in (
             ("force", offset[:3], p.tare_max_force_n, "tare_max_force_n", "N"),
@@ -68,15 +62,14 @@ class TareWindow:
         ):
             value = np.linalg.norm(part)
             if value > limit:
-                return TareOutcome(
-                    False,
+                return (
                     f"not tared: a {what} of {value:.3g} {unit} would be subtracted, {parameter} is"
                     f" {limit:g}; is the right tool active, and is it free of contact?",
+                    None,
                 )
         force = ", ".join(f"{v:.3f}" for v in offset[:3])
         torque = ", ".join(f"{1e3 * v:.1f}" for v in offset[3:])
-        return TareOutcome(
-            True,
+        return (
             f"tared: subtracts force ({force}) N, torque ({torque}) mN.m"
             f" over the next {p.tare_ramp_s:g} s",
             offset,

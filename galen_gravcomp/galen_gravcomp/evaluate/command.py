@@ -36,10 +36,10 @@ from galen_gravcomp.evaluate.bag_report import report as bag_report
 from galen_gravcomp.evaluate.drift import judge_drift
 from galen_gravcomp.evaluate.drift import report as drift_report
 from galen_gravcomp.evaluate.drift_series import TEXT_SUFFIXES, read_series
-from galen_gravcomp.evaluate.imu_run import score_imu_run
+from galen_gravcomp.evaluate.imu_run import imu_run_report
 from galen_gravcomp.evaluate.options import NODE_OPTIONS, build_parser
 from galen_gravcomp.evaluate.report import Report
-from galen_gravcomp.evaluate.table_report import run_report, scores_report
+from galen_gravcomp.evaluate.table_report import scores_report
 from galen_gravcomp.evaluate.table_scores import evaluate_table, tool_from_table
 from galen_gravcomp.parameters import GravcompParameters
 
@@ -110,7 +110,7 @@ def _evaluate_run(arguments: argparse.Namespace) -> Report:
     table = read_table(still, _columns(arguments), arguments.wrench_frame)
     wrench, imu, orientations = arguments.run
     run = read_motion(wrench, imu, orientations, arguments.time_unit_s, unit)
-    return run_report(score_imu_run(table, read_specific(still, unit), run))
+    return imu_run_report(table, read_specific(still, unit), run)
 
 
 def _evaluate_table(arguments: argparse.Namespace) -> Report:

@@ -13,7 +13,6 @@ a gyroscope. The lag between the clocks is found on one half of the run and used
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from galen_bags.arrays.tables import MotionTable, OrientationTable, moving
@@ -23,8 +22,10 @@ from galen_model.load.identification import plain_least_squares
 from galen_model.load.inertia import ImuFit, fit_imu
 from galen_model.load.model import gravity_regressor
 from galen_model.rotation import rotvec_to_matrix
+from rich.table import Table
 from scipy.interpolate import CubicSpline
 
+from galen_gravcomp.evaluate.report import Report, axes_table, axis_cells, by_axis
 from galen_gravcomp.evaluate.residual import rms
 
 WEIGHT, WITH_IMU, REST = "weight only", "with the IMU", "at rest"
@@ -35,21 +36,8 @@ _FEWEST_REST = 20
 _FEWEST = 100
 
 
-@dataclass(frozen=True)
-class ImuRunScore:
-    """Root mean square (6,) of the residual in motion by model, and of the noise at rest.
-
-    N and N.m. lag_s: of each half; the IMU's stamps are so much later than the wrench's.
-    """
-
-    imu: ImuFit
-    lag_s: tuple[float, float]
-    rest_s: float
-    rms: dict[str, Array]
-
-
-def score_imu_run(still: OrientationTable, specific: Array, run: MotionTable) -> ImuRunScore:
-    """Calibrate on still poses, score on the run.
+def imu_run_report(still: OrientationTable, specific: Array, run: MotionTable) -> Report:
+    """Calibrate on still poses, score on the run: residuals in motion by model, noise at rest.
 
     specific (n, 3): the IMU's readings in the still poses, m/s^2. Raises GalenError,
     IdentificationError.
@@ -87,7 +75,7 @@ def score_imu_run(still: OrientationTable, specific: Array, run: MotionTable) ->
     }
     residuals[REST] = np.std(weight[~in_motion], axis=0)
     rest_s = float(np.count_nonzero(~in_motion) * np.median(np.diff(time_s)))
-    return ImuRunScore(imu, (lags[0], lags[1]), rest_s, residuals)
+    return _report(imu, (lags[0], lags[1]), rest_s, residuals)
 
 
 def _best_lag(left: Callable[[float], Array], rows: np.ndarray, moments: Array) -> float:
@@ -103,3 +91,38 @@ def _best_lag(left: Callable[[float], Array], rows: np.ndarray, moments: Array) 
         )
     low, middle, high = costs[best - 1 : best + 2]
     return float(_LAGS_S[best] + 0.5 * (low - high) / (low - 2 * middle + high) * _LAG_STEP_S)
+
+
+def _report(
+    imu: ImuFit, lag_s: tuple[float, float], rest_s: float, residuals: dict[str, Array]
+) -> Report:
+    """lag_s: of each half; residuals (6,): N and N.m."""
+    mount = imu.mount
+    content = {
+        "imu": {
+            "rotvec_rad": mount.rotvec_rad.tolist(),
+            "bias_m_s2": mount.bias_m_s2.tolist(),
+            "scale": mount.scale,
+            "std_m_s2": imu.std_m_s2.tolist(),
+        },
+        "lag_of_halves_s": list(lag_s),
+        "rest_s": rest_s,
+        "rms": {name: by_axis(values) for name, values in residuals.items()},
+    }
+    shown: list[str | Table] = [
+        f"{name}: {' '.join(f'{value:.4f}' for value in values)}"
+        for name, values in (
+            ("imu_rotvec_rad", mount.rotvec_rad),
+            ("imu_bias_m_s2", mount.bias_m_s2),
+            ("residual of the still poses, m/s^2", imu.std_m_s2),
+        )
+    ]
+    first, second = (1e3 * lag for lag in lag_s)
+    shown.append(
+        f"imu_scale: {mount.scale:.5f}; the IMU's stamps are {first:.2f} ms (first half), "
+        f"{second:.2f} ms (second half) late; each is used on the other"
+    )
+    made = axes_table("Residual in motion, root mean square, tared at rest", "model")
+    for name, values in residuals.items():
+        made.add_row(name, *axis_cells(values, 1))
+    return Report(content, [*shown, made])

@@ -1,4 +1,4 @@
-"""Reports of tables: held-out scores, and a run with an IMU."""
+"""Report of a table: its load and held-out scores."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import numpy as np
 from galen_model.arm.arm import STANDARD_GRAVITY_M_S2
 from rich.table import Table
 
-from galen_gravcomp.evaluate.imu_run import ImuRunScore
 from galen_gravcomp.evaluate.report import Report, axes_table, axis_cells, by_axis, table
 from galen_gravcomp.evaluate.residual import rms
 from galen_gravcomp.evaluate.table_scores import TableEvaluation
@@ -131,36 +130,3 @@ def _score_table(result: TableEvaluation) -> Table:
     if result.scatter is not None:
         made.add_row("scatter within rest segments", *axis_cells(result.scatter))
     return made
-
-
-def run_report(score: ImuRunScore) -> Report:
-    """Make the report of a run with an IMU."""
-    mount = score.imu.mount
-    content = {
-        "imu": {
-            "rotvec_rad": mount.rotvec_rad.tolist(),
-            "bias_m_s2": mount.bias_m_s2.tolist(),
-            "scale": mount.scale,
-            "std_m_s2": score.imu.std_m_s2.tolist(),
-        },
-        "lag_of_halves_s": list(score.lag_s),
-        "rest_s": score.rest_s,
-        "rms": {name: by_axis(values) for name, values in score.rms.items()},
-    }
-    shown: list[str | Table] = [
-        f"{name}: {' '.join(f'{value:.4f}' for value in values)}"
-        for name, values in (
-            ("imu_rotvec_rad", mount.rotvec_rad),
-            ("imu_bias_m_s2", mount.bias_m_s2),
-            ("residual of the still poses, m/s^2", score.imu.std_m_s2),
-        )
-    ]
-    first, second = (1e3 * lag for lag in score.lag_s)
-    shown.append(
-        f"imu_scale: {mount.scale:.5f}; the IMU's stamps are {first:.2f} ms (first half), "
-        f"{second:.2f} ms (second half) late; each is used on the other"
-    )
-    made = axes_table("Residual in motion, root mean square, tared at rest", "model")
-    for name, values in score.rms.items():
-        made.add_row(name, *axis_cells(values, 1))
-    return Report(content, [*shown, made])

@@ -8,7 +8,6 @@ included.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from galen_model.arm.galen import TRACKER_POSITION_NOISE_M, TRACKER_ROTATION_NOISE_RAD
@@ -22,6 +21,9 @@ from galen_sim_driver.plant.geometry import (
     multiply,
     rotate_by,
 )
+
+MarkerPose = tuple[Vector, Quaternion]
+"""A marker in `tracker`: position (m) and quaternion x, y, z, w."""
 
 _BLOCK = 512
 
@@ -107,22 +109,6 @@ class ForceTorqueSensor:
         return reading
 
 
-@dataclass(frozen=True)
-class MarkerPose:
-    """A marker in `tracker`: position (m) and quaternion x, y, z, w."""
-
-    position_m: Vector
-    quaternion: Quaternion
-
-
-@dataclass(frozen=True)
-class TrackerSample:
-    """What the tracker sees at once; there is no tool marker without a tool."""
-
-    tool: MarkerPose | None
-    base: MarkerPose
-
-
 class Tracker:
     """Turn true poses in base_link into noisy ones in `tracker`."""
 
@@ -142,8 +128,8 @@ class Tracker:
         deflection: Sequence[float] | None,
         seen: Callable[[MarkerPose], MarkerPose],
         base_shift: Sequence[float] | None,
-    ) -> TrackerSample:
-        """Measure both markers once.
+    ) -> tuple[MarkerPose | None, MarkerPose]:
+        """Measure both markers once: the tool's, None without a tool, and the base's.
 
         `tip` is the undeflected tool_tip in base_link, `deflection` (6,) its displacement there:
         translation (m), rotation vector (rad), or None for no touch. `seen` turns a marker's
@@ -159,14 +145,14 @@ class Tracker:
             marker = _add(position, rotate_by(turn, self._marker_position))
             there = self._seen(marker, multiply(turn, self._marker_turn))
             tool = self._with_noise(seen(there))
-        return TrackerSample(tool, self._with_noise(seen(base)))
+        return tool, self._with_noise(seen(base))
 
     def _shifted_base(self, shift: Sequence[float]) -> MarkerPose:
         position, turn = self._base_marker_in_base
         return self._seen(_add(position, shift[:3]), multiply(from_rotvec(shift[3:]), turn))
 
     def _seen(self, position: Sequence[float], turn: Quaternion) -> MarkerPose:
-        return MarkerPose(
+        return (
             _add(self._base_position, rotate_by(self._base_turn, position)),
             multiply(self._base_turn, turn),
         )
@@ -175,9 +161,8 @@ class Tracker:
         if self._noise is None:
             return pose
         noise = next(self._noise)
-        return MarkerPose(
-            _add(pose.position_m, noise[:3]), multiply(from_rotvec(noise[3:]), pose.quaternion)
-        )
+        position, turn = pose
+        return _add(position, noise[:3]), multiply(from_rotvec(noise[3:]), turn)
 
 
 def _add(a: Sequence[float], b: Sequence[float]) -> Vector:
