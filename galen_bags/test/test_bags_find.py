@@ -19,32 +19,38 @@ def found(folder, *arguments):
     return [str(path.relative_to(folder)) for path in find_bags(arguments or [folder])]
 
 
-def test_a_rosbag2_directory_is_one_bag(tmp_path):
-    make(tmp_path, "run/metadata.yaml", "run/a_0.mcap", "run/a_1.mcap", "run/deeper/x.db3")
-    assert found(tmp_path) == ["run"]
-    assert find_bags([tmp_path / "run"]) == [tmp_path / "run"]
+FILES = ["a.mcap", "b.db3", "c.mcap.zstd", "d.db3.zstd"]
 
 
-def test_a_recording_without_metadata_is_one_bag_if_its_files_have_its_name(tmp_path):
-    make(tmp_path, "run/run_0.mcap", "run/run_1.mcap", "one/one.db3", "packed/packed_0.db3.zstd")
-    assert found(tmp_path) == ["one", "packed", "run"]
-
-
-def test_a_folder_of_files_is_not_taken_for_a_cut_off_recording(tmp_path):
-    make(tmp_path, "monday/a.mcap", "monday/monday_0.mcap", "monday/b.db3")
-    assert found(tmp_path) == ["monday/a.mcap", "monday/b.db3", "monday/monday_0.mcap"]
+@pytest.mark.parametrize(
+    ("names", "bags"),
+    [
+        # a directory of rosbag2
+        (["run/metadata.yaml", "run/a_0.mcap", "run/a_1.mcap", "run/deeper/x.db3"], ["run"]),
+        # recordings without metadata, whose files have their names
+        (
+            ["run/run_0.mcap", "run/run_1.mcap", "one/one.db3", "packed/packed_0.db3.zstd"],
+            ["one", "packed", "run"],
+        ),
+        # a folder of files is none
+        (
+            ["monday/a.mcap", "monday/monday_0.mcap", "monday/b.db3"],
+            ["monday/a.mcap", "monday/b.db3", "monday/monday_0.mcap"],
+        ),
+        # files of every kind, and nothing else
+        ([*FILES, "notes.txt", "f.csv.zstd", "tool.json", "g.bag"], FILES),
+    ],
+)
+def test_what_is_one_bag(tmp_path, names, bags):
+    make(tmp_path, *names)
+    assert found(tmp_path) == bags
+    assert find_bags([tmp_path / bags[0]]) == [tmp_path / bags[0]]
 
 
 def test_a_metadata_file_of_something_else_makes_no_bag_of_its_folder(tmp_path):
     make(tmp_path, "day/run/run.mcap")
     (tmp_path / "day" / "metadata.yaml").write_text("owner: lab\n")
     assert found(tmp_path) == ["day/run"]
-
-
-def test_files_of_every_kind_and_nothing_else(tmp_path):
-    names = ["a.mcap", "b.db3", "c.mcap.zstd", "d.db3.zstd"]
-    make(tmp_path, *names, "notes.txt", "f.csv.zstd", "tool.json", "g.bag")
-    assert found(tmp_path) == names
 
 
 def test_hidden_entries_are_left_out_unless_named(tmp_path):

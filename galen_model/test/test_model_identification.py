@@ -69,13 +69,18 @@ def test_noise_free_sweeps_give_the_loads_to_rounding(name):
 
 @pytest.mark.slow
 def test_coverage_and_efficiency_over_200_calibrations():
-    """95 % intervals hold the truth in 95 %; the scatter is the Cramer-Rao bound's."""
+    """95 % intervals hold the truth in 95 %; the scatter is the Cramer-Rao bound's.
+
+    Healthy poses are hardly ever rejected: one in a hundred calibrations by design.
+    """
     tool, rng, count = TOOLS["pointer"].load, np.random.default_rng(7), 200
-    errors, stds, bound = [], [], cramer_rao(grid(), tool)
+    errors, stds, rejected, bound = [], [], 0, cramer_rao(grid(), tool)
     for _ in range(count):
         found = identify_two_sweeps(*sweeps(tool, rng))
         errors.append(estimate(found) - truth(tool))
         stds.append(stated_std(found))
+        rejected += len(found.outliers)
+    assert rejected <= 8
     inside = np.abs(errors) < 1.96 * np.array(stds)
     # binomial: 1600 outcomes, correlated within a calibration; each parameter alone has 1.5 %
     assert 0.93 < inside.mean() < 0.97
@@ -128,14 +133,6 @@ def test_touched_poses_are_rejected_and_do_no_harm():
     assert 9 in np.flatnonzero(~found.used_bare)
     assert any(o[:2] == ("tool", 17) and o[2] > 5 for o in found.outliers)
     assert np.all(np.abs(estimate(found) - truth(tool)) < 5 * stated_std(found))
-
-
-@pytest.mark.slow
-def test_healthy_poses_are_hardly_ever_rejected():
-    rng, rejected = np.random.default_rng(11), 0
-    for _ in range(100):
-        rejected += len(identify_two_sweeps(*sweeps(TOOLS["pointer"].load, rng)).outliers)
-    assert rejected <= 4  # one in a hundred calibrations by design
 
 
 def test_too_many_outliers_are_an_error():

@@ -24,13 +24,10 @@ def test_power_does_not_depend_on_the_frame():
         np.testing.assert_allclose(twist_a @ wrench_a, twist_b @ wrench_b, atol=1e-12)
 
 
-def test_a_force_off_the_origin_turns():
-    # 2 N along y, 0.3 m out along x: 0.6 N.m about z
+def test_levers():
+    # 2 N along y, 0.3 m out along x: 0.6 N.m about z; and a body that turns about z
     moved = move_wrench([0, 2, 0, 0, 0, 0], np.eye(3), [0.3, 0, 0])
     np.testing.assert_allclose(moved, [0, 2, 0, 0, 0, 0.6], atol=1e-15)
-
-
-def test_move_twist_of_a_turning_body():
     moved = move_twist([0, 0, 0, 0, 0, 2.0], [0, 0, 0], [0.5, 0, 0])
     np.testing.assert_allclose(moved, [0, 1.0, 0, 0, 0, 2.0], atol=1e-15)
 
