@@ -189,7 +189,7 @@ def test_a_calibration_recovers_the_tool_and_writes_its_file(world):
     assert status == GoalStatus.STATUS_SUCCEEDED
     assert (result.error_code, result.error_msg) == (0, "")
     assert abs(result.mass_kg - 0.060) < 5 * result.mass_std_kg
-    assert abs(result.bias_mass_kg - 0.100) < 5 * result.bias_mass_std_kg
+    assert abs(result.adapter_mass_kg - 0.100) < 5 * result.adapter_mass_std_kg
     assert np.all(np.abs(result.com_m - POINTER.com_m) < 5 * result.com_std_m)
     assert 0 < result.mass_std_kg < 0.005
     assert np.all(result.rmse_force_n < 0.02)
