@@ -199,12 +199,12 @@ class Compensator:
         joints: the arm's (n,), m and rad, or its angles (k,) alone, which do where
         `needs_positions` is false.
         """
-        if self.needs_positions and len(joints) == len(self.arm.turning):
+        if len(joints) == len(self.arm.turning) and self.needs_positions:
             unknown = np.full(len(self.arm.joints), np.nan)
             joints = tuple(self.arm.with_angles(joints, unknown).tolist())
         if self.motion is not None:
             self.motion.push_joints(stamp_ns, joints)
-        paired = joints if self.pairs_positions else self._angles(joints)
+        paired = joints if self.pairs_positions else self.arm.angles_of(joints)
         results = self.pairing.push_joints(stamp_ns, paired)
         return self._made(results) if results else []
 
@@ -315,8 +315,9 @@ class Compensator:
 
     def _compensate(self, paired: PairedWrench) -> Result:
         stamp_ns, raw, joints, tag, number = paired
-        angles = self._angles(joints)
         prediction, cable = self._prediction, self.cable
+        # Only with a cable are all joints paired.
+        angles = joints if cable is None else self.arm.angles_of(joints)
         assert prediction is not None
         expected = prediction.reading(angles)
         if cable is not None:
@@ -342,8 +343,3 @@ class Compensator:
             self.monitor.push(stamp_ns, angles, untared - self._settled_offset)
         self.compensated += 1
         return PairedWrench(stamp_ns, compensated, joints, tag, number)
-
-    def _angles(self, joints: tuple[float, ...]) -> tuple[float, ...]:
-        """Values (k,) of the revolute joints, of all joints (n,) or of these alone."""
-        turning = self.arm.turning
-        return joints if len(joints) == len(turning) else tuple(joints[k] for k in turning)

@@ -110,22 +110,16 @@ class CablePull:
         if self._free:
             return np.asarray(smooth)
         values = smooth.tolist()
-        fx, fy, fz = self._along_sensor(joints, values[:3])
+        angles = self._arm.angles_of(joints)
+        cosines, sines = list(map(math.cos, angles)), list(map(math.sin, angles))
+        along_sensor = self._arm.components_in_sensor
+        fx, fy, fz = along_sensor((values[0], values[1], values[2]), cosines, sines)
         rx, ry, rz = self._attachment
         tx, ty, tz = ry * fz - rz * fy, rz * fx - rx * fz, rx * fy - ry * fx
         if len(values) == 6:
-            mx, my, mz = self._along_sensor(joints, values[3:])
+            mx, my, mz = along_sensor((values[3], values[4], values[5]), cosines, sines)
             tx, ty, tz = tx + mx, ty + my, tz + mz
         return np.array((fx, fy, fz, tx, ty, tz))
-
-    def _along_sensor(
-        self, joints: tuple[float, ...], vector: list[float]
-    ) -> tuple[float, float, float]:
-        angles = [joints[k] for k in self._arm.turning]
-        x, y, z = vector
-        return self._arm.components_in_sensor(
-            (x, y, z), list(map(math.cos, angles)), list(map(math.sin, angles))
-        )
 
 
 def _step(missing: float) -> float:

@@ -214,6 +214,11 @@ class Arm:
         """Values (..., k) of the revolute joints, rad."""
         return np.asarray(joints, dtype=float)[..., self.turning]
 
+    def angles_of(self, joints: tuple[float, ...]) -> tuple[float, ...]:
+        """As `angles`, of one sample in plain floats; angles (k,) alone come back as they are."""
+        turning = self.turning
+        return joints if len(joints) == len(turning) else tuple([joints[k] for k in turning])
+
     def with_angles(self, angles: ArrayLike, joints: ArrayLike | None = None) -> Array:
         """Joints (..., n): the revolute at angles (..., k), others as in `joints` or at home."""
         angles = np.asarray(angles, dtype=float)

@@ -116,9 +116,11 @@ class StillWindows:
         return window
 
     def _near(self, angles: Sequence[float]) -> bool:
-        return all(
-            abs(now - then) <= _BAND_RAD for now, then in zip(angles, self._first, strict=True)
-        )
+        # A loop, for it runs at every sample: a generator takes twice as long.
+        for now, then in zip(angles, self._first, strict=True):
+            if not abs(now - then) <= _BAND_RAD:
+                return False
+        return True
 
     def _window(self, angles: Sequence[float]) -> StillWindow:
         wrenches = np.array(self._wrenches)

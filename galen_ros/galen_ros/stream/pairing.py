@@ -144,7 +144,7 @@ class WrenchPairing:
         """
         self._on_restart = on_restart
         self._awaited = awaited
-        self._turning = arm.turning
+        self._arm, self._turning = arm, arm.turning
         self.wrench_topic = wrench_topic
         self.sensor_frame = sensor_frame
         self.parameters = parameters
@@ -294,9 +294,7 @@ class WrenchPairing:
             self.notices[Notice.NONFINITE_JOINTS] += 1
             joints = (math.nan,) * len(joints)
         else:
-            angles = joints
-            if len(joints) > len(self._turning):
-                angles = tuple([joints[k] for k in self._turning])
+            angles = self._arm.angles_of(joints)
             if angle_unit_notice(angles):
                 self.notices[Notice.ANGLE_UNIT] += 1
             if self._jumped(stamp_ns, angles):
