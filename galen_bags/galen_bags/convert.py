@@ -28,6 +28,7 @@ from galen_model.errors import GalenError
 from galen_ros.cdr import NS_PER_S, joint_state_bytes, wrench_bytes
 from galen_ros.command import (
     EXIT_OK,
+    add_table_columns,
     check_parent,
     make_parser,
     positive,
@@ -69,18 +70,7 @@ def build_parser() -> argparse.ArgumentParser:
         "--orientations", metavar="FILE", help="one of orientations with t, at its own rate"
     )
     parser.add_argument("-o", "--output", required=True, metavar="BAG", help="the new bag")
-    parser.add_argument(
-        "--columns",
-        metavar="NAMES",
-        help="comma-separated column names of the table, when it has no first line of names; '-'"
-        " skips a column",
-    )
-    parser.add_argument(
-        "--wrench-frame",
-        choices=("sensor", "base"),
-        default="sensor",
-        help="axes that the table's wrenches are written in (default: sensor)",
-    )
+    add_table_columns(parser)
     parser.add_argument(
         "--time-unit", choices=tuple(_UNITS_NS), default="s", help="unit of t (default: s)"
     )

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import socket
 import time
 import traceback
@@ -16,6 +17,8 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
+from galen_model.arm.arm import Arm
+from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import CalibrationFile, read_calibration
 from tqdm import tqdm
@@ -24,13 +27,29 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 Result = TypeVar("Result")
+Place = Path | str
+"""A path, or a store's URL."""
+# So many bags are on their way on a cluster: they keep hundreds of workers busy, and a scheduler's
+# memory does not grow with the archive.
+_AT_ONCE = 1000
+
+
+@dataclass(frozen=True)
+class ArchivedRecording:
+    """A recording of an archive; `version` is another one where its files are."""
+
+    place: Place
+    version: str = ""
+
+    def __str__(self) -> str:
+        return str(self.place)
 
 
 @dataclass(frozen=True)
 class Outcome(Generic[Result]):
     """What became of a bag: `error` is None, or a sentence that says why there is no result."""
 
-    bag: Path
+    bag: Place | ArchivedRecording
     result: Result | None
     error: str | None
     seconds: float
@@ -45,29 +64,45 @@ def json_rows(outcomes: Sequence[Outcome[dict[str, Any]]]) -> list[dict[str, Any
 
 
 def run_many(
-    function: Callable[[Path], Result],
-    bags: Sequence[Path],
+    function: Callable[[Any], Result],
+    bags: Sequence[Place | ArchivedRecording],
     *,
     scheduler: str | None = None,
     workers: int | None = None,
-    progress: bool = True,
     timeout_s: float = 5.0,
 ) -> list[Outcome[Result]]:
     """Call `function` with each bag; returns the outcomes in the order of `bags`.
+
+    Args and errors are those of `run_each`; here all results are held.
+    """
+    outcomes = dict(
+        run_each(function, bags, scheduler=scheduler, workers=workers, timeout_s=timeout_s)
+    )
+    return [outcomes[number] for number in range(len(bags))]
+
+
+def run_each(
+    function: Callable[[Any], Result],
+    bags: Sequence[Place | ArchivedRecording],
+    *,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    timeout_s: float = 5.0,
+) -> Iterator[tuple[int, Outcome[Result]]]:
+    """Call `function` with each bag; yields the bags' numbers and outcomes as they come.
 
     A bag whose function raises, or ends its process, has an error for an outcome and does not
     stop the others. Without `scheduler`, on `workers` processes here (None: one a processor, but
     no more than bags), or in this process if that makes one or there is one bag. With it
     (`tcp://host:port` or a scheduler file), on whatever workers that has; the bags' paths must be
-    absolute, and theirs too. Function and results must be picklable, and results should be small:
-    all are held here. The function should print nothing: it shares a terminal with others.
+    absolute, and theirs too; URLs are the function's matter. Function and results must be
+    picklable, and small. The function should print nothing: it shares a terminal with others.
 
     Args:
         function: a module's function, a `functools.partial` of one, or a callable object.
         bags: what it is called with, one at a time.
         scheduler: address or file of a Dask scheduler.
         workers: number of processes, at least 1; not with `scheduler`.
-        progress: show a bar on standard error, where that is a terminal.
         timeout_s: how long to wait for the scheduler's answer.
 
     Raises:
@@ -80,27 +115,32 @@ def run_many(
         raise ValueError("workers are for local processes; a scheduler has its own")
     if workers is not None and workers < 1:
         raise ValueError(f"workers must be at least 1, not {workers}")
-    if scheduler is not None and (relative := [bag for bag in bags if not bag.is_absolute()]):
+    paths = (path for path in map(_path, bags) if path is not None)
+    if scheduler is not None and (relative := [one for one in paths if not one.is_absolute()]):
         raise ValueError(f"{relative[0]}: with a scheduler, paths must be absolute")
-    outcomes: dict[int, Outcome[Result]] = {}
     failed = 0
     with (
-        tqdm(total=len(bags), unit="bag", disable=None if progress else True) as bar,
+        tqdm(total=len(bags), unit="bag", disable=None) as bar,
         # Closed here, so that an interrupt ends the workers before anything else goes on.
         contextlib.closing(_outcomes(function, bags, scheduler, workers, timeout_s)) as coming,
     ):
         for number, outcome in coming:
-            outcomes[number] = outcome
             failed += outcome.error is not None
             if failed:
                 bar.set_postfix(failed=failed, refresh=False)
             bar.update()
-    return [outcomes[number] for number in range(len(bags))]
+            yield number, outcome
+
+
+def _path(bag: Place | ArchivedRecording) -> Path | None:
+    """Return a bag's path; None for a URL."""
+    place = bag.place if isinstance(bag, ArchivedRecording) else bag
+    return place if isinstance(place, Path) else None
 
 
 def _outcomes(
-    function: Callable[[Path], Result],
-    bags: Sequence[Path],
+    function: Callable[[Any], Result],
+    bags: Sequence[Place | ArchivedRecording],
     scheduler: str | None,
     workers: int | None,
     timeout_s: float,
@@ -118,7 +158,7 @@ def _outcomes(
     if scheduler is not None:
         with scheduler_client(scheduler, timeout_s) as client:
             run = _Run(client, function, bags, scheduler)
-            yield from run.all_outcomes(at_once=len(bags))
+            yield from run.all_outcomes(at_once=_AT_ONCE)
         return
     count = min(workers or cpu_count(), len(bags))
     with local_workers(count) as client:
@@ -132,8 +172,8 @@ class _Run(Generic[Result]):
     def __init__(
         self,
         client: Client,
-        function: Callable[[Path], Result],
-        bags: Sequence[Path],
+        function: Callable[[Any], Result],
+        bags: Sequence[Place | ArchivedRecording],
         scheduler: str | None,
     ) -> None:
         self._client = client
@@ -171,18 +211,23 @@ class _Run(Generic[Result]):
         completed = as_completed(list(running), loop=self._client.loop)
         for future in completed:
             number = running.pop(future)
-            for following in islice(waiting, 1):
+            self._lost = self._lost or future.cancelled()
+            for following in islice(waiting, 0 if self._lost else 1):
                 another = self._submit(following)
                 running[another] = following
                 completed.add(another)
             yield number, self._outcome(number, future)
+            self._started_s.pop(number, None)
+        for number in waiting:  # none, unless the scheduler was lost
+            yield number, self._loss(number)
 
     def _death(self, number: int) -> Outcome[Result]:
         reason = "it crashed, was killed, or took more than its share of the memory"
         return self._error(number, f"the process that worked on it died: {reason}")
 
     def _loss(self, number: int) -> Outcome[Result]:
-        return self._error(number, f"the scheduler {self._scheduler} was lost, or dropped it")
+        text = f"the scheduler {self._scheduler} was lost, or dropped it; run the command again"
+        return self._error(number, text)
 
     def _submit(self, number: int) -> Future:
         self._started_s[number] = time.monotonic()
@@ -197,7 +242,6 @@ class _Run(Generic[Result]):
         from distributed import KilledWorker
 
         if future.cancelled():
-            self._lost = True
             return self._loss(number)
         try:
             outcome: Outcome[Result] = future.result()
@@ -216,11 +260,12 @@ class _Run(Generic[Result]):
 
     def _error(self, number: int, text: str) -> Outcome[Result]:
         bag = self._bags[number]
-        seconds = time.monotonic() - self._started_s[number]
+        now_s = time.monotonic()
+        seconds = now_s - self._started_s.get(number, now_s)
         return Outcome(bag, None, f"{bag}: {text}", seconds)
 
 
-def _work(function: Callable[[Path], Result], bag: Path) -> Outcome[Result]:
+def _work(function: Callable[[Any], Result], bag: Place | ArchivedRecording) -> Outcome[Result]:
     started_s = time.monotonic()
     result, text = None, None
     try:
@@ -236,11 +281,12 @@ def _work(function: Callable[[Path], Result], bag: Path) -> Outcome[Result]:
 
 
 def _work_elsewhere(
-    function: Callable[[Path], Result], bag: Path, scheduler: str | None
+    function: Callable[[Any], Result], bag: Place | ArchivedRecording, scheduler: str | None
 ) -> Outcome[Result]:
     from distributed.protocol.pickle import dumps
 
-    if scheduler is not None and not bag.exists():
+    path = _path(bag)
+    if scheduler is not None and path is not None and not path.exists():
         where = f"{socket.gethostname()}, where a worker of {scheduler} looked for it"
         text = f"{bag}: is not there on {where}: its workers must see the same paths"
         return Outcome(bag, None, text, 0.0)
@@ -257,37 +303,51 @@ def _work_elsewhere(
 # Inputs
 
 
-def calibration_of_bag(bag: Path, tool: Path, *, beside: bool) -> CalibrationFile:
+def calibration_of_bag(bag: Path, tool: Path, *, beside: bool, arm: Arm = GALEN) -> CalibrationFile:
     """Read the calibration file that a bag was recorded with.
 
     Args:
         bag: the recording.
         tool: the file, or, with `beside`, its name in the bag's directory or the one above.
         beside: look for the file beside the bag.
+        arm: the one that it is used on.
 
     Raises:
         GalenError: the file is missing or invalid; the message names it.
 
     """
     if not beside:
-        return read_calibration(tool)
+        return read_calibration(tool, arm)
     folder = bag if bag.is_dir() else bag.parent
     for place in (folder, folder.parent):
         if (place / tool.name).is_file():
-            return read_calibration(place / tool.name)
+            return read_calibration(place / tool.name, arm)
     raise GalenError(f"{bag}: neither in it nor beside it is a tool's file {tool.name}")
 
 
 def distinct_names(paths: Sequence[Path]) -> dict[Path, str]:
     """Name each path by its stem, with folders before it as far as they differ."""
-    resolved = {path: Path(os.path.abspath(path)) for path in paths}  # noqa: PTH100 - keeps links
-    depth = 1
-    while True:
-        names = {
-            path: "_".join((*whole.parent.parts, whole.stem)[-depth:])
-            for path, whole in resolved.items()
-        }
-        longest = max((len(whole.parts) for whole in resolved.values()), default=1)
-        if len(set(names.values())) == len(names) or depth > longest:
-            return names
-        depth += 1
+    depth = name_depth(paths)
+    return {path: name_of(path, depth) for path in paths}
+
+
+def name_depth(places: Sequence[Place]) -> int:
+    """Return how many parts of each place `name_of` needs to name all differently."""
+    longest = max((len(_parts(place)) for place in places), default=1)
+    for depth in range(1, longest):
+        if len({name_of(place, depth) for place in places}) == len(places):
+            return depth
+    return longest
+
+
+def name_of(place: Place, depth: int = 1) -> str:
+    """Name a place by its stem and the folders before it, `depth` parts in all."""
+    name = "_".join(_parts(place)[-depth:])
+    # A store's names may have what a file here may not.
+    return name if isinstance(place, Path) else re.sub(r"[^\w.+-]", "_", name)
+
+
+def _parts(place: Place) -> tuple[str, ...]:
+    path = Path("/", place.partition("://")[2]) if isinstance(place, str) else place
+    whole = Path(os.path.abspath(path))  # noqa: PTH100 - keeps links
+    return (*whole.parent.parts, whole.stem)

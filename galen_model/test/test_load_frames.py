@@ -1,8 +1,11 @@
 """Loads in other frames, against Pinocchio's frames, weights and drawn samples."""
 
+from pathlib import Path
+
 import numpy as np
+import pinocchio
 import pytest
-from galen_model.arm.description import PinocchioArm
+from galen_model.arm.description import PinocchioArm, read_arm
 from galen_model.arm.galen import GALEN, GRAVITY_M_S2
 from galen_model.files.calibration_file import LoadEstimate
 from galen_model.load.frames import (
@@ -78,3 +81,38 @@ def test_what_lacks_is_named() -> None:
             joint_vector(wrong)
     np.testing.assert_array_equal(joint_vector([0.1, 0.2]), [np.nan] * 3 + [0.1, 0.2])
     np.testing.assert_array_equal(joint_vector(GALEN.home.tolist()), GALEN.home)
+
+
+SIX_AXIS = (Path(__file__).parents[2] / "galen_bringup/urdf/six_axis.urdf").read_text()
+BRANCHES = """
+  <link name="stand"/><joint name="stand_fixed" type="fixed">
+    <parent link="base_link"/><child link="stand"/><origin xyz="0.1 0 -0.5" rpy="0 0 1"/></joint>
+  <link name="finger"/><joint name="grip" type="prismatic"><parent link="ft_sensor"/>
+    <child link="finger"/><axis xyz="1 0 0"/><limit lower="0" upper="1" effort="1" velocity="1"/>
+  </joint></robot>"""
+
+
+def test_frames_that_fixed_joints_carry_are_those_of_the_description() -> None:
+    text = SIX_AXIS.replace("</robot>", BRANCHES)
+    arm = read_arm(text)
+    model = pinocchio.buildModelFromXML(text)
+    data = model.createData()
+    rng = np.random.default_rng(7)
+    joints = rng.uniform(-2.0, 2.0, model.nq)
+    pinocchio.framesForwardKinematics(model, data, joints)
+    assert {"tool0", "stand", "wrist_3_link", "base_link"} < set(frames(arm))
+    assert needed_joints("tool0", arm) == () and needed_joints("stand", arm) == arm.joint_names
+    sensor = data.oMf[model.getFrameId("ft_sensor")]
+    for frame in set(frames(arm)) - {"tool_tip"}:
+        known = [name in needed_joints(frame, arm) for name in arm.joint_names]
+        given = np.where(known, joints[: len(known)], np.nan)
+        place = sensor_in_frame(frame, TIP_M, given, arm)
+        expected = data.oMf[model.getFrameId(frame)].actInv(sensor)
+        np.testing.assert_allclose(place.rotation, expected.rotation, atol=1e-12)
+        np.testing.assert_allclose(place.origin_m, expected.translation, atol=1e-12)
+    with pytest.raises(
+        FrameError, match="'finger' hangs on the joint 'grip', which is not between"
+    ):
+        sensor_in_frame("finger", TIP_M, None, arm)
+    with pytest.raises(FrameError, match=r"no frame 'flange'; there are ft_sensor.*tool0"):
+        sensor_in_frame("flange", TIP_M, None, arm)

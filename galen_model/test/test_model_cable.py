@@ -2,9 +2,11 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from galen_model.arm.description import read_arm
 from galen_model.arm.galen import GALEN, SENSOR
 from galen_model.errors import CalibrationFileError, IdentificationError, NotExcitedError
 from galen_model.files.calibration_file import (
@@ -12,6 +14,7 @@ from galen_model.files.calibration_file import (
     LoadEstimate,
     read_calibration,
     write_calibration,
+    zeroed_at,
 )
 from galen_model.load.cable import (
     FORMS,
@@ -30,6 +33,7 @@ from galen_model.load.cable_learning import (
 from galen_model.load.model import Load, gravity_wrench
 from galen_model.registration import move_wrench
 
+SIX = read_arm((Path(__file__).parents[2] / "galen_bringup/urdf/six_axis.urdf").read_text())
 AT = np.array([0.09, 0.01, 0.05])
 ANCHOR = np.array([0.4, 0.3, 0.85])
 NOISE = SENSOR.noise_std
@@ -53,9 +57,16 @@ def between(count=40, seed=3):
     return joints
 
 
-def pull(joints, couple=0.0):
+def six_axis(count, seed=0):
+    """Poses of the six-axis arm in which only the wrist moves; the last joint hardly."""
+    joints = np.tile([0.3, -1.2, 1.4, -0.4, 0.9, 0.2], (count, 1))
+    joints[:, 3:] += np.random.default_rng(seed).uniform(-1.0, 1.0, (count, 3)) * [0.8, 0.8, 0.1]
+    return joints
+
+
+def pull(joints, couple=0.0, arm=GALEN):
     """A pull towards an anchor that grows with the distance, and a couple; along ft_sensor."""
-    rotation, origin = GALEN.sensor_pose(joints)
+    rotation, origin = arm.sensor_pose(joints)
     line = ANCHOR - origin - rotation @ AT
     length = np.linalg.norm(line, axis=1, keepdims=True)
     unit = np.einsum("nji,nj->ni", rotation, line / length)
@@ -63,11 +74,11 @@ def pull(joints, couple=0.0):
     return np.concatenate([force, np.cross(AT, force) + couple * np.cross([0, 0, 1], unit)], axis=1)
 
 
-def sweep_of(wrench, joints, seed=0, scatter=0.0):
+def sweep_of(wrench, joints, seed=0, scatter=0.0, arm=GALEN):
     rng = np.random.default_rng(seed)
     std = np.tile(NOISE / np.sqrt(250.0), (len(joints), 1))
     noise = rng.normal(size=wrench.shape) * np.hypot(std, scatter * NOISE)
-    return CableSweep(joints, wrench + noise, std, NOISE)
+    return CableSweep(joints, wrench + noise, std, NOISE, arm)
 
 
 @pytest.fixture(scope="module")
@@ -97,17 +108,20 @@ def test_a_force_at_a_point_reads_as_a_wrench_moved_from_there():
         assert np.abs(change[0] / step - derivative).max() < 1e-8
 
 
-@pytest.mark.parametrize("form", FORMS)
-def test_the_likelihoods_gradient_is_that_of_finite_differences(form):
-    joints = grid(4, 4)
+@pytest.mark.parametrize(
+    ("form", "arm"), [*((form, GALEN) for form in FORMS), ("point_and_couple", SIX)]
+)
+def test_the_likelihoods_gradient_is_that_of_finite_differences(form, arm):
+    joints = grid(4, 4) if arm is GALEN else six_axis(16)
     joints[8:, :3] += 0.05
-    likelihood = _Likelihood(sweep_of(pull(joints, 0.01), joints), form)
+    likelihood = _Likelihood(sweep_of(pull(joints, 0.01, arm), joints, arm=arm), form)
     rng = np.random.default_rng(5)
-    at = np.concatenate([np.log([0.9, 1.1, 0.3, 0.1, 0.01, 0.3]), AT + 0.01])
-    at += 0.05 * rng.normal(size=9)
+    lengths = np.linspace(0.9, 1.1, len(arm.turning))
+    at = np.concatenate([np.log([*lengths, 0.3, 0.1, 0.01, 0.3]), AT + 0.01])
+    at += 0.05 * rng.normal(size=len(at))
     _, gradient = likelihood(at)
     step = 1e-5
-    steps = step * np.eye(9)
+    steps = step * np.eye(len(at))
     expected = np.array([likelihood(at + e)[0] - likelihood(at - e)[0] for e in steps]) / (2 * step)
     assert np.abs(gradient - expected).max() < 1e-4 * np.abs(expected).max()
 
@@ -161,7 +175,7 @@ def test_held_out_blocks_say_what_it_is_worth(learned):
     assert learned.drag.held_out_rmse == pytest.approx(learned.held_out.rmse)
     # No pose is in the block of one that it is predicted from.
     assert np.bincount(learned.block).min() >= 1
-    assert len(np.unique(learned.block)) == len(np.unique(pose_blocks(grid()))) >= 6
+    assert len(np.unique(learned.block)) == len(np.unique(pose_blocks(grid()[:, 3:]))) >= 6
 
 
 @pytest.mark.slow
@@ -194,10 +208,28 @@ def test_outside_the_poses_seen_it_fades_to_nothing_without_a_kink(learned):
 def test_poses_at_several_places_of_the_platform_are_covered():
     joints = np.concatenate([grid(5, 4) + [dx, 0.0, 0.0, 0.0, 0.0] for dx in (0.0, 0.06)])
     drag = fit_cable(sweep_of(pull(joints), joints), "point", WHEN)[0]
-    assert spacing_rad(joints) == pytest.approx(0.6, abs=0.05)
+    assert spacing_rad(joints[:, 3:]) == pytest.approx(0.6, abs=0.05)
     at = between() + [0.03, 0.0, 0.0, 0.0, 0.0]
     error = drag.posterior.readings(at) - pull(at)
     assert np.abs(error[:, :3]).max() < 0.02
+
+
+def test_on_another_arm_it_is_learned_where_the_sweep_has_been(tmp_path):
+    joints, at = six_axis(50), six_axis(30, seed=1)
+    found = learn_cable(sweep_of(pull(joints, arm=SIX), joints, arm=SIX), WHEN, forms=["point"])
+    assert len(found.drag.length_rad) == 6 and found.held_out.chi < 0.2 * found.least_squares.chi
+    inside = found.drag.posterior.weights(at) == 1.0
+    assert inside.mean() > 0.7
+    error = found.drag.posterior.readings(at[inside]) - pull(at[inside], arm=SIX)
+    assert np.abs(error[:, :3]).max() < 0.02 < 0.2 < np.abs(pull(at, arm=SIX)[:, :3]).max()
+    # the arm elsewhere, the wrist as it was: another pull
+    assert found.drag.posterior.weights(at + [0, 0, 1.5, 0, 0, 0]).max() == 0.0
+    write_calibration(tmp_path / "a.json", replace(a_tool(found.drag), **on(SIX)))
+    again = read_calibration(tmp_path / "a.json", SIX).cable
+    assert np.array_equal(again.posterior.readings(at), found.drag.posterior.readings(at))
+    still = six_axis(30) * [1, 1, 1, 1, 0, 0] + [0, 0, 0, 0, 0.9, 0.2]
+    with pytest.raises(NotExcitedError, match=r"0 rad of \w+; of two joints at least 0\.3"):
+        learn_cable(sweep_of(pull(still, arm=SIX), still, arm=SIX), WHEN)
 
 
 # --- rejections -----------------------------------------------------------------------------------
@@ -229,6 +261,10 @@ def test_a_sweep_that_is_too_sparse_is_rejected(joints, words):
 
 
 # --- the file -----------------------------------------------------------------------------------
+
+
+def on(arm):
+    return {"arm": arm, "zeroing": zeroed_at(arm=arm)}
 
 
 def a_tool(drag):

@@ -4,8 +4,7 @@ import numpy as np
 import pinocchio
 import pytest
 from galen_model.arm.description import read_arm
-from galen_model.arm.galen import GALEN
-from galen_model.arm.urdf import galen_urdf
+from galen_model.arm.galen import GALEN, galen_urdf
 from galen_model.errors import GalenError
 
 
@@ -52,7 +51,7 @@ def reference(text, arm, q, tip_m):
     sensor = data.oMf[model.getFrameId(arm.sensor_frame)]
     world = pinocchio.getFrameJacobian(
         model, data, model.getFrameId(arm.sensor_frame), pinocchio.LOCAL_WORLD_ALIGNED
-    )[:, columns]
+    ).reshape(6, -1)[:, columns]
     at_tip = world.copy()
     at_tip[:3] += np.cross(world[3:].T, sensor.rotation @ tip_m).T
     turned = np.kron(np.eye(2), base.rotation.T)
@@ -93,7 +92,7 @@ def test_a_stiff_spring_gives_the_compliance_of_the_others():
 
 
 def test_the_galens_description_is_the_galen():
-    arm, rng = read_arm(galen_urdf()), np.random.default_rng(1)
+    arm, rng = read_arm(galen_urdf(GALEN)), np.random.default_rng(1)
     assert (arm.joint_names, arm.units) == (GALEN.joint_names, GALEN.units)
     assert [joint.link for joint in arm.joints] == [joint.link for joint in GALEN.joints]
     np.testing.assert_array_equal(arm.lower, GALEN.lower)
@@ -134,3 +133,81 @@ def test_rejects_a_joint_that_follows_another():
     )
     with pytest.raises(GalenError, match="follows joint_1"):
         read_arm(text, sensor_frame="sensor")
+
+
+LIMIT = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'
+
+
+def one_joint(kind="revolute", axis="0 0 1", limit=LIMIT):
+    return (
+        '<robot name="one"><link name="base"/><link name="ft_sensor"/>'
+        f'<joint name="only" type="{kind}"><parent link="base"/><child link="ft_sensor"/>'
+        f'<origin xyz="0 0 1" rpy="0.3 0 0"/><axis xyz="{axis}"/>{limit}</joint></robot>'
+    )
+
+
+@pytest.mark.parametrize("kind", ["revolute", "continuous"])
+def test_reads_an_arm_of_one_joint(kind):
+    arm = read_arm(one_joint(kind, "0 3 4"), sensor_frame="ft_sensor")
+    np.testing.assert_allclose(arm.joints[0].axis, [0.0, 0.6, 0.8], atol=1e-15)
+    assert arm.endless.tolist() == [kind == "continuous"]
+    rotation, _, _ = reference(one_joint(kind, "0 3 4"), arm, [0.7], np.zeros(3))
+    np.testing.assert_allclose(arm.sensor_pose([0.7])[0], rotation, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"kind": "prismatic"}, "no revolute joint lies between 'base' and 'ft_sensor'"),
+        ({"axis": "0 0 0"}, "joint 'only' has the axis \"0 0 0\""),
+        ({"limit": ""}, "joint 'only' is revolute and has no <limit> with effort and velocity"),
+        ({"limit": LIMIT.replace("velocity", "speed")}, "no <limit> with velocity: add it"),
+        ({"limit": '<limit effort="1" velocity="1"/>'}, "'only' .* without lower and upper"),
+        ({"limit": LIMIT.replace("-1", "2")}, "'only' has the limits 2 to 1: lower is above upper"),
+    ],
+)
+def test_names_the_joint_that_an_arm_can_not_use(change, message):
+    with pytest.raises(GalenError, match=message):
+        read_arm(one_joint(**change))
+
+
+def test_rejects_more_links_than_the_parser_can_follow():
+    links = "".join(f'<link name="l{k}"/>' for k in range(5000))
+    joints = "".join(
+        f'<joint name="j{k}" type="fixed"><parent link="l{k}"/><child link="l{k + 1}"/></joint>'
+        for k in range(4999)
+    )
+    with pytest.raises(GalenError, match="has 5000 links; at most 1000 are read"):
+        read_arm(f"<robot name='long'>{links}{joints}</robot>", sensor_frame="l4999")
+
+
+def test_a_fault_of_the_parser_is_an_error_of_the_description(monkeypatch):
+    def broken(text):
+        raise RuntimeError("out of order")
+
+    monkeypatch.setattr(pinocchio, "buildModelFromXML", broken)
+    with pytest.raises(GalenError, match="can't be read: out of order"):
+        read_arm(one_joint())
+
+
+def test_an_endless_joint_is_nearest_by_whole_turns():
+    arm = read_arm(one_joint("continuous"))
+    near = arm.nearest([[3.1], [-3.1], [9.5]], [[-3.1], [3.1], [3.2]])
+    np.testing.assert_allclose(near[:, 0] + [2 * np.pi, -2 * np.pi, 2 * np.pi], [3.1, -3.1, 9.5])
+    assert read_arm(one_joint()).nearest([7.0], [0.0]) == [7.0]
+
+
+def test_limits_of_velocity_are_kept_where_the_description_has_them():
+    text = random_robot(0)
+    arm = read_arm(text, sensor_frame="sensor")
+    turning = [joint for joint in arm.joints if np.isfinite(joint.upper)]
+    assert {joint.max_velocity for joint in turning} == {1.0}
+    unknown = read_arm(text.replace('velocity="1"', 'velocity="0"'), sensor_frame="sensor")
+    assert {joint.max_velocity for joint in unknown.joints} == {np.inf}
+
+
+def test_the_galen_goes_no_faster_than_its_description_allows():
+    text = GALEN.urdf.replace('velocity="1.5"', 'velocity="0.4"')
+    arm = read_arm(text)
+    assert arm.delta is GALEN.delta
+    assert [joint.max_velocity for joint in arm.joints] == [0.2, 0.2, 0.2, 0.4, 0.4]

@@ -3,17 +3,14 @@
 import numpy as np
 import pytest
 from galen_model.arm.galen import GALEN
-from galen_model.errors import IdentificationError, NotExcitedError
+from galen_model.errors import IdentificationError
+from galen_model.load.choice import choose_calibration, choose_load
 from galen_model.load.drifting_bias import BiasBasis, BiasShape, Shape, Sweeps, finish
-from galen_model.load.drifting_identification import (
-    CANDIDATES,
-    BiasMode,
-    choose_shapes,
-    identify_drifting_load,
-    identify_one_sweep_drifting,
-    identify_two_sweeps_drifting,
+from galen_model.load.identification import (
+    StillPoses,
+    identify_single_load,
+    load_estimate,
 )
-from galen_model.load.identification import StillPoses, identify_single_load, identify_two_sweeps
 from galen_model.load.model import (
     ADAPTER,
     TOOLS,
@@ -26,7 +23,7 @@ from galen_model.load.model import (
 SIGMA = np.array([0.02, 0.02, 0.03, 4e-4, 4e-4, 4e-4]) / np.sqrt(125)
 TOOL = TOOLS["retractor"].load
 PERIOD_S = 2.0
-WALK = (BiasShape(Shape.WALK, 10.0),) * 2
+WALK = (BiasShape(Shape.WALK, 10.0),) * 6
 
 
 def grid():
@@ -103,7 +100,7 @@ def test_mass_under_bias_drift_is_better_and_its_interval_true():
     given the shape, and the mass by less than 0.8 of what it does with a constant bias.
     """
     rng = np.random.default_rng(1)
-    shapes = (BiasShape(Shape.WALK, 30.0),) * 2
+    shapes = (BiasShape(Shape.WALK, 30.0),) * 6
     constant, walk, squares = [], [], []
     for _ in range(20):
         readings = reading(rng, 30.0)
@@ -120,14 +117,14 @@ def test_mass_under_bias_drift_is_better_and_its_interval_true():
 @pytest.mark.slow
 def test_a_bias_drift_is_chosen_where_there_is_one_and_not_where_there_is_none():
     rng = np.random.default_rng(2)
-    none = choose_shapes(sweeps(reading(rng, 0.0)))
-    assert none.constant
-    there = choose_shapes(sweeps(reading(rng, 50.0)))
-    assert not there.constant
-    assert min(there.gain) > 0.0
-    few = sweeps(reading(rng, 50.0))
-    short = Sweeps(few.design[:8], few.readings[:8], few.time_s[:8], few.segment[:8])
-    assert choose_shapes(short, CANDIDATES).constant
+    none = choose_load(GRAVITY, reading(rng, 0.0), TIME_S)
+    assert none.words == "constant bias"
+    there = choose_load(GRAVITY, reading(rng, 50.0), TIME_S)
+    assert there.words.startswith("drifting bias: forces")
+    assert "constant" not in there.words
+    few = slice(0, 8)
+    short = choose_load(GRAVITY[few], reading(rng, 50.0)[few], TIME_S[few])
+    assert short.words == "constant bias"
 
 
 @pytest.mark.slow
@@ -141,7 +138,7 @@ def test_two_sweeps_with_a_bias_drift_and_a_touched_pose():
         StillPoses(ANGLES, bare + noise[0], None, TIME_S),
         StillPoses(ANGLES, with_tool + noise[1], None, TIME_S + 500.0),
     )
-    found = identify_two_sweeps_drifting(*both)
+    found = choose_calibration(*both)
     assert found.bias_drift is not None
     assert found.bias_drift.tool is not None
     assert [(sweep, pose) for sweep, pose, _ in found.outliers] == [("tool", 20)]
@@ -151,11 +148,10 @@ def test_two_sweeps_with_a_bias_drift_and_a_touched_pose():
     last = with_tool[-1] - nominal_reading(ANGLES[-1], TOOL, ADAPTER)
     np.testing.assert_allclose(found.offset[:3], last[:3], atol=0.01)
     assert "drifted" in found.warnings[0]
-    steady = identify_two_sweeps_drifting(*both, mode=BiasMode.CONSTANT)
-    assert steady.load.mass_kg == identify_two_sweeps(*both).load.mass_kg
-    untimed = StillPoses(ANGLES, both[1].wrench)
-    with pytest.raises(IdentificationError, match="no times"):
-        identify_two_sweeps_drifting(both[0], untimed)
+    assert found.model.startswith("drifting bias: forces")
+    untimed = choose_calibration(both[0], StillPoses(ANGLES, both[1].wrench))
+    assert untimed.bias_drift is None
+    assert "no times" in untimed.reason
 
 
 def test_one_sweep_with_a_known_adapter():
@@ -163,7 +159,7 @@ def test_one_sweep_with_a_known_adapter():
     tool = nominal_reading(ANGLES, TOOL, ADAPTER) + bias_drift(rng, 50.0)
     tool += SIGMA * rng.standard_normal((56, 6))
     poses = StillPoses(ANGLES, tool, None, TIME_S)
-    found = identify_one_sweep_drifting(poses, mode=BiasMode.BIAS_DRIFTING)
+    found = choose_calibration(None, poses)
     assert found.bias_drift is not None
     assert found.unresolved
     total = found.load.mass_kg + found.adapter.mass_kg
@@ -177,8 +173,11 @@ def test_poses_in_an_order_that_goes_with_time_are_told_or_rejected():
     time = np.arange(40.0)
     rng = np.random.default_rng(5)
     readings = gravity_wrench(gravity, TOOL) + 0.05 * rng.standard_normal((40, 6))
-    with pytest.raises((NotExcitedError, IdentificationError)):
-        identify_drifting_load(gravity, readings, time, bias=BiasMode.BIAS_DRIFTING)
+    slow = Sweeps(gravity_regressor(gravity), readings, time, np.zeros(40, dtype=int))
+    found = finish(slow, WALK, np.ones(40, dtype=bool))
+    assert found.growth[0] > 3.0
+    with pytest.raises(IdentificationError, match="not distinguishable from none"):
+        load_estimate(found.fit, slice(0, 4), "the load")
     # a grid's order goes with the tilt; that costs more than any order by chance
     data = sweeps(reading(rng, 0.0))
     order = rng.permutation(56)

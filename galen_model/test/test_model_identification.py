@@ -1,10 +1,14 @@
 """Identification: known parameters recovered at the noise's limit, bad input rejected by name."""
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
+from galen_model.arm.description import read_arm
+from galen_model.arm.galen import GALEN
 from galen_model.errors import IdentificationError, NotExcitedError
+from galen_model.load.choice import choose_calibration
 from galen_model.load.identification import (
     StillPoses,
     check_planned_poses,
@@ -22,6 +26,7 @@ from galen_model.load.model import (
     nominal_reading,
 )
 
+SIX_AXIS = (Path(__file__).parents[2] / "galen_bringup/urdf/six_axis.urdf").read_text()
 SIGMA = np.array([0.02, 0.02, 0.03, 4e-4, 4e-4, 4e-4]) / np.sqrt(125)
 NO_TOOL = Load(0.0)
 
@@ -31,14 +36,17 @@ def grid(tilts=7, rolls=8, roll=1.5, tilt=(-1.0, 0.9)):
     return np.column_stack([mesh[1].ravel(), mesh[0].ravel()])
 
 
-def sweeps(tool, rng, noise=SIGMA, drift=0.0, poses=None):
+def sweeps(tool, rng, noise=SIGMA, drift=0.0, poses=None, arm=GALEN):
     angles = grid() if poses is None else poses
     zeroing = noise * rng.standard_normal(6)
-    bare = nominal_reading(angles, NO_TOOL, ADAPTER) + zeroing
-    with_tool = nominal_reading(angles, tool, ADAPTER) + zeroing + drift
+    bare = nominal_reading(angles, NO_TOOL, ADAPTER, arm=arm) + zeroing
+    with_tool = nominal_reading(angles, tool, ADAPTER, arm=arm) + zeroing + drift
+    hours = np.arange(float(len(angles)))
     return (
-        StillPoses(angles, bare + noise * rng.standard_normal(bare.shape)),
-        StillPoses(angles, with_tool + noise * rng.standard_normal(bare.shape)),
+        StillPoses(angles, bare + noise * rng.standard_normal(bare.shape), None, hours, arm),
+        StillPoses(
+            angles, with_tool + noise * rng.standard_normal(bare.shape), None, 100.0 + hours, arm
+        ),
     )
 
 
@@ -65,6 +73,22 @@ def test_noise_free_sweeps_give_the_loads_to_rounding(name):
     np.testing.assert_allclose(estimate(found), truth(tool), atol=1e-9)
     np.testing.assert_allclose(found.offset, 0.0, atol=1e-9)
     assert not found.outliers
+
+
+@pytest.mark.parametrize("down", [(0.0, 0.0, -9.80665), (0.0, 6.0, 7.75)])
+@pytest.mark.parametrize("identify", [identify_two_sweeps, choose_calibration])
+def test_the_loads_on_a_six_axis_arm_are_found_on_the_floor_and_on_a_wall(identify, down):
+    arm, tool = read_arm(SIX_AXIS, gravity_m_s2=down), TOOLS["retractor"].load
+    poses = np.random.default_rng(3).uniform(-2.0, 2.0, (40, 6))
+    found = identify(*sweeps(tool, np.random.default_rng(1), poses=poses, arm=arm))
+    error = estimate(found) - truth(tool)
+    assert np.all(np.abs(error) < 4.0 * stated_std(found))
+    assert np.all(stated_std(found) < 1e-3)
+    # two joints that hardly move, and the others not at all
+    few = poses * [0.02, 0.02, 0, 0, 0, 0]
+    spans = r"span 0\.080 rad of shoulder_pan, 0\.068 .* and 0\.000 rad of wrist_3"
+    with pytest.raises(NotExcitedError, match=spans):
+        identify(*sweeps(tool, np.random.default_rng(1), poses=few, arm=arm))
 
 
 @pytest.mark.slow

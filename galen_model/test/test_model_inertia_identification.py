@@ -1,7 +1,11 @@
 """Inertia from recordings of motion: known ones found, to the noise's limit, or rejected."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
+from galen_model.arm.description import read_arm
 from galen_model.arm.galen import ENCODER_QUANTUM, GALEN, SENSOR
 from galen_model.arm.sensor_motion import sensor_motion
 from galen_model.errors import IdentificationError, NotExcitedError
@@ -23,35 +27,40 @@ SIZE = np.array([0.04, 0.04, 0.04, 0.45, 0.35])
 NS = 1e9
 
 
-def motion(times, size=SIZE):
+def motion(times, size=SIZE, arm=GALEN):
     """Swings that never repeat within a recording."""
-    angle = np.outer(times, RATES) + 0.5 * np.sin(0.37 * times)[:, None]
-    rate = RATES + 0.5 * 0.37 * np.cos(0.37 * times)[:, None]
+    rates = RATES if arm is GALEN else np.linspace(2.6, 4.1, len(arm.joints))
+    angle = np.outer(times, rates) + 0.5 * np.sin(0.37 * times)[:, None]
+    rate = rates + 0.5 * 0.37 * np.cos(0.37 * times)[:, None]
     rate_rate = -0.5 * 0.37**2 * np.sin(0.37 * times)[:, None]
     return (
-        GALEN.home + size * np.sin(angle),
+        arm.home + size * np.sin(angle),
         size * rate * np.cos(angle),
         size * (rate_rate * np.cos(angle) - rate**2 * np.sin(angle)),
     )
 
 
-def recording(seed, duration_s=20.0, rate_hz=250.0, size=SIZE, late_s=0.0, moments=MOMENTS):
+def recording(
+    seed, duration_s=20.0, rate_hz=250.0, size=SIZE, late_s=0.0, moments=MOMENTS, arm=GALEN
+):
     """Stamps, joints by the encoders, wrenches with noise and an offset."""
     rng = np.random.default_rng(seed)
     times = np.arange(0.0, duration_s, 1.0 / rate_hz)
-    q, _, _ = motion(times, size)
-    felt, v, a = motion(times - late_s, size)  # a late wrench is late with its weight as well
-    moving = sensor_motion(felt, v, a)
-    specific = GALEN.gravity_in_sensor(felt[:, 3:]) - moving[2]
+    q, _, _ = motion(times, size, arm)
+    felt, v, a = motion(times - late_s, size, arm)  # a late wrench is late with its weight as well
+    moving = sensor_motion(felt, v, a, arm)
+    specific = arm.gravity_in_sensor(arm.angles(felt)) - moving[2]
     wrench = inertial_wrench(specific, moving[0], moving[1], moments, INERTIA)
     wrench += np.array([0.4, 0.0, -0.2, 0.001, 0.02, -0.01])
     wrench += SENSOR.noise_std * rng.standard_normal(wrench.shape)
     stamps = np.round(times * NS).astype(np.int64) + 1_700_000_000_000_000_000
-    return stamps, np.round(q / ENCODER_QUANTUM) * ENCODER_QUANTUM, stamps, wrench
+    quantum = ENCODER_QUANTUM if arm is GALEN else 5e-5
+    return stamps, np.round(q / quantum) * quantum, stamps, wrench
 
 
-def identify(seed=0, **changes):
-    return identify_inertia(motion_record(*recording(seed, **changes)), MOMENTS, KNOWN)
+def identify(seed=0, arm=GALEN, **changes):
+    record = motion_record(*recording(seed, arm=arm, **changes), arm=arm)
+    return identify_inertia(record, MOMENTS, KNOWN)
 
 
 def cramer_rao_std(rate_hz=250.0, duration_s=20.0):
@@ -84,8 +93,15 @@ def test_the_inertia_is_found_to_the_noises_limit_and_its_covariance_is_honest()
     assert np.mean([abs(fit.lag_s) < 3.0 * fit.lag_std_s for fit in fits]) > 0.9
 
 
-def test_one_recording_tells_inertia_lag_and_offset():
-    fit = identify(1, late_s=0.003)
+WALL = replace(
+    read_arm((Path(__file__).parents[2] / "galen_bringup/urdf/six_axis.urdf").read_text()),
+    gravity_m_s2=np.array([0.0, 9.80665, 0.0]),
+)
+
+
+@pytest.mark.parametrize(("arm", "size"), [(GALEN, SIZE), (WALL, np.full(6, 0.3))])
+def test_one_recording_tells_inertia_lag_and_offset(arm, size):
+    fit = identify(1, arm, late_s=0.003, size=size)
     error = fit.inertia.about_sensor_kg_m2 - INERTIA
     assert np.all(np.abs(error) < 4.0 * fit.inertia.std_kg_m2)
     assert fit.inertia.std_kg_m2.max() < 0.01 * INERTIA.max()

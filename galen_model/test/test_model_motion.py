@@ -1,11 +1,12 @@
 """The sensor's motion and a load's wrench in motion, against Pinocchio and analytic cases."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pinocchio
 import pytest
-from galen_model.arm.description import PinocchioArm
+from galen_model.arm.description import PinocchioArm, read_arm
 from galen_model.arm.galen import GALEN
 from galen_model.arm.sensor_motion import MotionOfSensor, sensor_motion
 from galen_model.errors import CalibrationFileError
@@ -23,8 +24,11 @@ from galen_model.load.inertia import (
     point_mass_inertia,
 )
 from galen_model.load.model import Load, gravity_wrench
+from galen_model.rotation import skew
 from model_files import calibration
+from test_model_description import random_robot
 
+SIX_AXIS = (Path(__file__).parents[2] / "galen_bringup/urdf/six_axis.urdf").read_text()
 INERTIA = np.array([2e-3, 3e-3, 4e-3, 1e-4, -2e-4, 3e-4])
 LOAD = Load(0.3, np.array([0.04, -0.01, 0.05]))
 
@@ -73,11 +77,52 @@ def test_the_sensors_motion_and_a_loads_wrench_are_pinocchios():
         rate = body * spatial + velocity.cross(body * velocity)
         np.testing.assert_allclose(wrench[k], -np.r_[rate.linear, rate.angular], atol=1e-12)
         # one moment at a time, in plain floats
-        single = MotionOfSensor().at(q[k, 3], q[k, 4], tuple(v[k]), tuple(a[k]))
+        single = MotionOfSensor().at(q[k], v[k], a[k])
         np.testing.assert_allclose(single, [part[k] for part in motion], atol=1e-12)
         w, al, linear = single
         fast = LoadInMotion(LOAD.moments, inertia).wrench(tuple(-x for x in linear), w, al)
         np.testing.assert_allclose(fast, wrench[k], atol=1e-12)
+
+
+@pytest.mark.parametrize("text", [SIX_AXIS, *map(random_robot, range(6))])
+def test_the_sensors_motion_on_any_chain_is_that_of_the_whole_robot(text):
+    arm = read_arm(text, sensor_frame="ft_sensor" if text is SIX_AXIS else "sensor")
+    model = pinocchio.buildModelFromXML(text)
+    data, at = model.createData(), (model.getFrameId(arm.sensor_frame), pinocchio.LOCAL)
+    joints = [model.joints[model.getJointId(name)] for name in arm.joint_names]
+    q, v, a = np.random.default_rng(1).standard_normal((3, 5, len(joints)))
+    motion, one = sensor_motion(q, v, a, arm), MotionOfSensor(arm)
+    for k in range(len(q)):
+        place, rate, rate_2 = pinocchio.neutral(model), np.zeros(model.nv), np.zeros(model.nv)
+        for column, joint in enumerate(joints):
+            angle = q[k, column]
+            place[joint.idx_q : joint.idx_q + joint.nq] = (
+                angle if joint.nq == 1 else (np.cos(angle), np.sin(angle))
+            )
+            rate[joint.idx_v], rate_2[joint.idx_v] = v[k, column], a[k, column]
+        pinocchio.forwardKinematics(model, data, place, rate, rate_2)
+        velocity = pinocchio.getFrameVelocity(model, data, *at)
+        classical = pinocchio.getFrameClassicalAcceleration(model, data, *at)
+        expected = [velocity.angular, classical.angular, classical.linear]
+        np.testing.assert_allclose([part[k] for part in motion], expected, atol=1e-11)
+        np.testing.assert_allclose(one.at(q[k], v[k], a[k]), expected, atol=1e-11)
+
+
+def test_the_sensors_motion_is_the_second_difference_of_its_pose():
+    arm, step_s = read_arm(SIX_AXIS), 1e-4
+    q, v, a = np.random.default_rng(2).standard_normal((3, len(arm.joints)))
+    times = step_s * np.array([-1.0, 0.0, 1.0])[:, None]
+    rotation, origin = arm.sensor_pose(q + v * times + a * times**2 / 2.0)
+    motion = sensor_motion(q, v, a, arm)
+    linear = rotation[1].T @ (origin[2] - 2.0 * origin[1] + origin[0]) / step_s**2
+    turned = rotation[1].T @ (rotation[2] - rotation[0]) / (2.0 * step_s)
+    np.testing.assert_allclose(motion.acceleration_m_s2, linear, rtol=1e-5)
+    np.testing.assert_allclose(skew(motion.velocity_rad_s), turned, atol=1e-6)
+    # w at the neighbours is in axes that turn with it: its own rate is that in them
+    around = sensor_motion(q + v * times + a * times**2 / 2.0, v + a * times, a, arm).velocity_rad_s
+    np.testing.assert_allclose(
+        motion.acceleration_rad_s2, (around[2] - around[0]) / (2.0 * step_s), rtol=1e-5
+    )
 
 
 def test_at_rest_it_is_the_weight_and_a_pendulum_in_free_fall_of_its_swing_reads_nothing_along_it():

@@ -2,10 +2,13 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+import pinocchio
 import pytest
-from galen_model.arm.description import PinocchioArm
+from galen_model.arm.description import PinocchioArm, read_arm
+from galen_model.arm.galen import GALEN
 from galen_model.errors import IdentificationError, NotExcitedError
 from galen_model.evidence.block_gain import MOUNTED, ROBUST
 from galen_model.files.calibration_file import (
@@ -26,7 +29,7 @@ from galen_model.load.mounting.identification import (
     identify_two_sweeps_mounted,
     worth,
 )
-from galen_model.load.mounting.mounting import GROUPS, PARAMETERS, Mounting, entities
+from galen_model.load.mounting.mounting import Mounting, entities, groups_of, parameters
 from galen_model.load.mounting.reading_model import JointPoses, MountedSweep, ReadingModel
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
@@ -35,23 +38,35 @@ SIGMA = np.array([0.02, 0.02, 0.03, 4e-4, 4e-4, 4e-4]) / np.sqrt(125)
 DEG = np.pi / 180.0
 RETRACTOR, NOTHING = TOOLS["retractor"].load, Load(0.0)
 ARM = PinocchioArm()
+SIX = read_arm((Path(__file__).parents[2] / "galen_bringup/urdf/six_axis.urdf").read_text())
+WALL = replace(SIX, gravity_m_s2=np.array([0.0, 9.80665, 0.0]))
+SIX_MODEL = pinocchio.buildModelFromXML(SIX.urdf)
 GRAVITY = np.array([0.0, 0.0, -9.80665])
 
 
-def mounting(seed=3, size=1.0, only=None):
+def mounting(seed=3, size=1.0, only=None, arm=GALEN):
     """Rotation 1 deg, gains 1 %, inclination and zeros 0.5 deg, times `size`; `only` some."""
-    rng = np.random.default_rng(seed)
-    vector = np.repeat([DEG, 0.01, 0.5 * DEG, 0.5 * DEG], [3, 6, 2, 2]) * rng.uniform(-1, 1, 13)
-    kept = np.ones(13, dtype=bool)
+    rng, zeros = np.random.default_rng(seed), len(arm.turning)
+    vector = np.repeat([DEG, 0.01, 0.5 * DEG, 0.5 * DEG], [3, 6, 2, zeros])
+    vector *= rng.uniform(-1, 1, len(vector))
     if only is not None:
-        basis = np.array([e.direction for e in entities(only)])
-        kept, vector = np.ones(13, dtype=bool), np.linalg.pinv(basis) @ basis @ vector
-    return Mounting.from_vector(size * vector * kept)
+        basis = np.array([e.direction for e in entities(only, arm)])
+        vector = np.linalg.pinv(basis) @ basis @ vector
+    return Mounting.from_vector(size * vector, joints=arm.turning_names)
 
 
 def grid(tilts=7, rolls=8):
     mesh = np.meshgrid(np.linspace(-1.0, 0.9, tilts), np.linspace(-1.5, 1.5, rolls), indexing="ij")
     return np.column_stack([mesh[1].ravel(), mesh[0].ravel()])
+
+
+def base_from_sensor(angles):
+    """R_base_sensor of the Galen or of the six-axis arm, by Pinocchio, at angles (k,)."""
+    if len(angles) == 2:
+        return ARM.pose([0.0, 0.0, 0.408, *angles])[0]
+    data = SIX_MODEL.createData()
+    pinocchio.framesForwardKinematics(SIX_MODEL, data, angles)
+    return data.oMf[SIX_MODEL.getFrameId("ft_sensor")].rotation
 
 
 def true_wrench(mounted, angles, load):
@@ -60,8 +75,7 @@ def true_wrench(mounted, angles, load):
     down = (Rotation.from_euler("x", a) * Rotation.from_euler("y", b)).inv().apply(GRAVITY)
     wrenches = []
     for pose in np.atleast_2d(angles) + mounted.joint_zero_rad:
-        joints = [0.0, 0.0, 0.408, *pose]
-        rotation = Rotation.from_matrix(ARM.pose(joints)[0])
+        rotation = Rotation.from_matrix(base_from_sensor(pose))
         force = load.mass_kg * down
         torque = np.cross(rotation.apply(load.com_m), force)
         wrenches.append(np.concatenate([rotation.inv().apply(f) for f in (force, torque)]))
@@ -78,18 +92,18 @@ def sensed(mounted, wrench):
 def reading(mounted, angles, tool):
     """As the sensor reads, zeroed at home with the adapter on: one reading less another."""
     both = true_wrench(mounted, angles, tool) + true_wrench(mounted, angles, ADAPTER)
-    home = true_wrench(mounted, np.zeros(2), ADAPTER)
+    home = true_wrench(mounted, np.zeros(np.shape(angles)[-1]), ADAPTER)
     return sensed(mounted, both) - sensed(mounted, home)
 
 
-def sweeps(mounted, rng=None, noise=SIGMA, poses=None, tool=RETRACTOR):
+def sweeps(mounted, rng=None, noise=SIGMA, poses=None, tool=RETRACTOR, arm=GALEN):
     angles = grid() if poses is None else poses
     made = []
     for load in (NOTHING, tool):
         wrench = reading(mounted, angles, load)
         if rng is not None:
             wrench = wrench + noise * rng.standard_normal(wrench.shape)
-        made.append(StillPoses(angles, wrench))
+        made.append(StillPoses(angles, wrench, arm=arm))
     return made
 
 
@@ -128,16 +142,16 @@ def test_a_push_comes_out_right_through_gains_rotation_and_zeroing():
     np.testing.assert_allclose(left, np.tile(push, (len(angles), 1)), atol=1e-12)
 
 
-def two_sweeps_model(groups):
-    angles = grid(4, 5)
-    poses, adapter = JointPoses(angles), slice(4, 8)
+def two_sweeps_model(groups, arm=GALEN):
+    angles = grid(4, 5) if arm is GALEN else six_poses(20)
+    poses, adapter = JointPoses(angles, arm), slice(4, 8)
     return ReadingModel(
         [
             MountedSweep(poses, None, adapter, slice(8, 14)),
             MountedSweep(poses, slice(0, 4), adapter, slice(14, 20)),
         ],
-        JointPoses(np.array([[0.1, -0.2]])),
-        entities(groups),
+        JointPoses(angles[:1] + 0.1, arm),
+        entities(groups, arm),
         20,
     )
 
@@ -145,13 +159,12 @@ def two_sweeps_model(groups):
 ALL = ["sensor_rotation", "axis_gain", "base_inclination", "joint_zero"]
 
 
-@pytest.mark.parametrize("size", [0.0, 20.0])
-def test_the_jacobian_is_that_of_finite_differences(size):
-    model = two_sweeps_model(ALL)
+@pytest.mark.parametrize(("size", "arm"), [(0.0, GALEN), (20.0, GALEN), (20.0, SIX), (20.0, WALL)])
+def test_the_jacobian_is_that_of_finite_differences(size, arm):
+    model = two_sweeps_model(ALL, arm)
     rng = np.random.default_rng(0)
-    values = np.concatenate(
-        [RETRACTOR.moments, ADAPTER.moments, rng.normal(size=12), size * 0.02 * rng.normal(size=13)]
-    )
+    mounted = size * 0.02 * rng.normal(size=model.basis.shape[1])
+    values = np.concatenate([RETRACTOR.moments, ADAPTER.moments, rng.normal(size=12), mounted])
     _, jacobian = model.evaluate(values)
     for column in range(len(values)):
         step = np.zeros(len(values))
@@ -186,6 +199,63 @@ def test_next_to_no_noise_gives_the_mounting_and_the_loads(groups):
     assert found.load.mass_kg == pytest.approx(RETRACTOR.mass_kg, abs=1e-8)
     np.testing.assert_allclose(found.load.com_m, RETRACTOR.com_m, atol=1e-8)
     assert not found.outliers
+
+
+def six_poses(count=40):
+    return np.random.default_rng(8).uniform(-2.0, 2.0, (count, 6))
+
+
+@pytest.mark.parametrize(
+    "groups",
+    [
+        ["joint_zero", "sensor_rotation_x", "sensor_rotation_y", "gain_ratio", "base_inclination"],
+        ["sensor_rotation", "base_inclination", "wrist_1_zero", "wrist_2_zero"],
+    ],
+)
+def test_next_to_no_noise_gives_the_mounting_of_a_six_axis_arm(groups):
+    mounted, rng = mounting(only=groups, arm=SIX), np.random.default_rng(2)
+    made = sweeps(mounted, rng, noise=1e-6 * SIGMA, poses=six_poses(), arm=SIX)
+    found = identify_two_sweeps_mounted(*made, groups)
+    np.testing.assert_allclose(found.mounting.vector, mounted.vector, atol=1e-8)
+    np.testing.assert_allclose(found.load.com_m, RETRACTOR.com_m, atol=1e-8)
+    assert found.mounting.joints == SIX.turning_names
+    again = Mounting.from_json(found.mounting.to_json(), "mounting", SIX)
+    np.testing.assert_array_equal(again.vector, found.mounting.vector)
+    with pytest.raises(FieldError, match="roll"):
+        Mounting.from_json(found.mounting.to_json(), "mounting")
+
+
+def test_joints_without_an_effect_keep_their_zero_and_parallel_ones_share_one():
+    names = [one.name for one in groups_of(SIX)["joint_zero"]]
+    shared = "the common zero of the joints shoulder_lift, elbow, wrist_1"
+    assert names == [shared, "the wrist_2 joint's zero", "the wrist_3 joint's zero"]
+    made = sweeps(mounting(only=["joint_zero"], arm=SIX), poses=six_poses(), arm=SIX)
+    for asked, named in (
+        (["shoulder_pan_zero"], "the shoulder_pan joint's zero"),
+        (["elbow_zero", "wrist_1_zero"], "the elbow joint's zero and the wrist_1 joint's zero"),
+        (
+            ["joint_zero", "sensor_rotation"],
+            "wrist_3 joint's zero and the sensor's rotation",
+        ),
+    ):
+        with pytest.raises(NotExcitedError, match=named):
+            identify_two_sweeps_mounted(*made, asked)
+    # on a wall the first joint turns gravity
+    assert groups_of(WALL)["joint_zero"][0].name == "the shoulder_pan joint's zero"
+    only = replace(SIX, joints=SIX.joints[:1])
+    with pytest.raises(IdentificationError, match="no joint's zero of the arm 'six_axis'"):
+        entities(["joint_zero"], only)
+
+
+def test_gravity_along_any_axis_of_the_base_is_inclined_with_it():
+    mounted, angles = mounting(size=20.0, arm=SIX), six_poses(3)
+    a, b = mounted.base_inclination_rad
+    turn = (Rotation.from_euler("x", a) * Rotation.from_euler("y", b)).inv()
+    expected = [
+        base_from_sensor(one + mounted.joint_zero_rad).T @ turn.apply(WALL.gravity_m_s2)
+        for one in angles
+    ]
+    np.testing.assert_allclose(mounted.gravity_in_sensor(angles, WALL), expected, atol=1e-12)
 
 
 def test_a_weighed_load_with_a_known_centre_tells_every_gain():
@@ -287,7 +357,7 @@ def test_orientations_tell_rotation_and_inclination():
     level = turns.inv().apply(GRAVITY)
     true = mounted.turned_gravity(level, turns.as_matrix())
     np.testing.assert_allclose(
-        true, turns.inv().apply(mounted.gravity_direction * 9.80665), atol=1e-12
+        true, turns.inv().apply(mounted.gravity_direction() * 9.80665), atol=1e-12
     )
     force = RETRACTOR.mass_kg * true
     weight = np.concatenate([force, np.cross(RETRACTOR.com_m, force)], axis=1)
@@ -366,6 +436,6 @@ def test_what_can_not_be_asked_for_is_said():
         KnownLoad(0.0, 1e-3)
     with pytest.raises(IdentificationError, match="known centre"):
         KnownLoad(0.1, 1e-3, np.zeros(3))
-    assert len(PARAMETERS) == 13
-    basis = np.array([e.direction for group in ALL for e in GROUPS[group]])
+    assert len(parameters(GALEN.turning_names)) == 13
+    basis = np.array([e.direction for group in ALL for e in groups_of()[group]])
     assert np.linalg.matrix_rank(basis) == 13

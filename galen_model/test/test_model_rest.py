@@ -1,11 +1,17 @@
 """Rest segments out of joint states and of a live stream: quanta, noise, jumps."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
+from galen_model.arm.description import read_arm
 from galen_model.arm.galen import ENCODER_QUANTUM, GALEN
 from galen_model.rest.segments import JointRest, allowed_travel, rest_by_joints
 from galen_model.rest.windows import WINDOW_S, StillWindows
 
+SIX = read_arm((Path(__file__).parents[2] / "galen_bringup/urdf/six_axis.urdf").read_text())
+LIFTED = replace(SIX, joints=(GALEN.joints[2], *SIX.joints))
 NS = 1_000_000_000
 START_NS = 1_700_000_000 * NS + 123_456_789
 
@@ -14,21 +20,23 @@ def encoded(joints):
     return np.round(joints / ENCODER_QUANTUM) * ENCODER_QUANTUM
 
 
-def recording(rate_hz, *, moves=((1.0, 2.0), (4.0, 4.5)), duration_s=6.0, joint=3, size=0.4):
-    """Stamps (n,) and joints (n, 5) that stand but for quintic moves of one joint."""
+def recording(
+    rate_hz, *, moves=((1.0, 2.0), (4.0, 4.5)), duration_s=6.0, joint=3, size=0.4, arm=GALEN
+):
+    """Stamps (n,) and joints (n, d) that stand but for quintic moves of one joint."""
     time = np.arange(round(duration_s * rate_hz)) / rate_hz
-    joints = np.tile(GALEN.home, (len(time), 1))
+    joints = np.tile(arm.home, (len(time), 1))
     for first, last in moves:
         x = np.clip((time - first) / (last - first), 0.0, 1.0)
         joints[:, joint] += size * x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
     return START_NS + np.round(time * NS).astype(np.int64), joints
 
 
-def ends(stamps, joints, settings=None):
+def ends(stamps, joints, settings=None, arm=GALEN):
     """First and last stamp of each rest segment."""
     return [
         (stamps[rows.start], stamps[rows.stop - 1])
-        for rows in rest_by_joints(stamps, joints, settings)
+        for rows in rest_by_joints(stamps, joints, settings, arm)
     ]
 
 
@@ -57,15 +65,18 @@ def test_an_encoder_that_flickers_between_two_steps_stands_still():
     assert in_s(ends(stamps, joints + flicker)) == [(0.0, pytest.approx(6.0, abs=0.01))]
 
 
-@pytest.mark.parametrize("joint", range(5))
-def test_every_joint_alone_can_move(joint):
-    stamps, joints = recording(500.0, moves=())
-    limit = JointRest().max_speed[joint]
+@pytest.mark.parametrize(
+    ("arm", "joint"), [*((GALEN, k) for k in range(5)), (LIFTED, 0), (LIFTED, 6)]
+)
+def test_every_joint_alone_can_move(arm, joint):
+    stamps, joints = recording(500.0, moves=(), arm=arm)
+    limit = arm.by_unit(5e-4, 2e-3)[joint]
     time = (stamps - START_NS) / NS
     for speed, phases in ((0.5 * limit, 1), (3.0 * limit, 0)):
         creeping = joints.copy()
         creeping[:, joint] += speed * time
-        assert len(ends(stamps, encoded(creeping))) == phases
+        creeping = np.round(creeping / arm.by_unit(5e-6, 5e-5)) * arm.by_unit(5e-6, 5e-5)
+        assert len(ends(stamps, creeping, arm=arm)) == phases
 
 
 def test_a_swing_that_comes_back_within_the_window_is_motion():

@@ -1,15 +1,18 @@
 """Calibration files: read back what was written, reject what is not one, survive a kill."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
+from galen_model.arm.description import read_arm
 from galen_model.arm.galen import GALEN
 from galen_model.errors import CalibrationFileError
 from galen_model.files.calibration_file import (
     calibration_path,
     read_calibration,
     write_calibration,
+    zeroed_at,
 )
 from galen_model.load.model import ADAPTER, TOOLS, Load, nominal_reading
 from model_files import calibration
@@ -35,6 +38,17 @@ def test_what_is_written_is_read_back(tmp_path):
     angles = np.array([[0.3, 0.1], [-1.0, 0.7]])
     expected = nominal_reading(angles, TOOLS["pointer"].load, ADAPTER) + tool.residual_offset
     np.testing.assert_allclose(again.predict(angles), expected, atol=1e-14)
+
+
+def test_the_model_chosen_is_kept_and_may_lack(tmp_path):
+    path = tmp_path / "pointer.json"
+    words = {"model": "drifting bias", "model_reason": "8 blocks: 1.0 ± 0.1"}
+    write_calibration(path, calibration(**words))
+    content = json.loads(path.read_text())
+    assert words.items() <= content.items()
+    assert read_calibration(path).model_reason == words["model_reason"]
+    path.write_text(json.dumps({k: v for k, v in content.items() if k not in words}))
+    assert read_calibration(path).model == read_calibration(path).model_reason == ""
 
 
 def schema_1(roll=0.3, tilt=-0.2, gravity=-9.8):
@@ -130,6 +144,9 @@ def test_the_old_file_is_kept_as_bak(tmp_path):
         ({"gravity_m_s2": [0, 0, 9.8]}, "gravity_m_s2"),
         ({"poses_used": -1}, "poses_used"),
         ({"poses_rejected": "all"}, "poses_rejected is not a list"),
+        ({"model": ["constant"]}, "model is .'constant'.; expected one line"),
+        ({"model_reason": "a" * 1001}, "model_reason has 1001 characters; at most 1000"),
+        ({"model_reason": "two\nlines"}, "model_reason is .* expected one line"),
         ({"calibrated_at": "yesterday"}, "RFC 3339"),
         ({"calibrated_at": "2026-01-01T00:00:00"}, "time zone"),
         ({"tool": "../x"}, "letters, digits"),
@@ -212,3 +229,39 @@ def test_a_file_that_is_not_there_is_told_from_a_bad_one(tmp_path):
     with pytest.raises(CalibrationFileError, match="not JSON") as stop:
         read_calibration(tmp_path / "bad.json")
     assert not isinstance(stop.value.__cause__, OSError)
+
+
+SIX_AXIS = (Path(__file__).parents[2] / "galen_bringup/urdf/six_axis.urdf").read_text()
+
+
+STAND = (
+    '<link name="stand"/><joint name="stood" type="fixed"><parent link="stand"/>'
+    '<child link="base_link"/><origin rpy="0.3 0 0"/></joint><link name="base_link">'
+)
+STOOD = SIX_AXIS.replace('<link name="base_link">', STAND)
+
+
+@pytest.mark.parametrize(
+    ("text", "base_frame", "angle"),
+    [
+        (STOOD, "stand", "0.300"),
+        (
+            STOOD.replace('xyz="0 0 0.392" rpy="0 1.5707', 'xyz="0 0 0.4" rpy="0 1.4'),
+            "base_link",
+            "",
+        ),
+    ],
+)
+def test_a_file_of_another_base_or_geometry_is_rejected(tmp_path, text, base_frame, angle):
+    arm = read_arm(STOOD, base_frame="base_link")
+    at = np.array([0.2, -1.2, 1.6, -1.2, -1.57, 0.3])
+    path = tmp_path / "pointer.json"
+    write_calibration(path, calibration(arm=arm, zeroing=zeroed_at(at, arm)))
+    assert read_calibration(path, arm).zero_angles.tolist() == at.tolist()
+    other = read_arm(text, base_frame=base_frame)
+    with pytest.raises(CalibrationFileError, match=rf"{angle} rad off .* at most 0.02 rad"):
+        read_calibration(path, other)
+    content = json.loads(path.read_text())
+    del content["zeroing"]["joints"]["elbow"]
+    path.write_text(json.dumps(content))
+    assert read_calibration(path, other).tool == "pointer"  # no more can be told

@@ -95,9 +95,10 @@ def test_the_worst_case_is_the_largest_over_the_workspace() -> None:
     assert compare_calibrations(POINTER, POINTER).worst_force[0] == 0.0
 
 
-def test_files_of_two_sensors_are_rejected() -> None:
-    with pytest.raises(IncomparableError, match="'ft_sensor' and 'b' in 'other'"):
-        compare_calibrations(POINTER, replace(POINTER, sensor_frame="other"), ("a", "b"))
+def test_files_of_two_arms_are_rejected() -> None:
+    other = replace(POINTER, arm=replace(POINTER.arm, sensor_frame="other"))
+    with pytest.raises(IncomparableError, match=r"'a' and 'b' are of two arms: .* and other"):
+        compare_calibrations(POINTER, other, ("a", "b"))
 
 
 @pytest.mark.parametrize(

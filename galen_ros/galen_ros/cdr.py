@@ -15,10 +15,11 @@ that looks different is worked out anew.
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from operator import itemgetter
+from typing import Any
 
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
@@ -256,14 +257,21 @@ class ImuWire:
         return layout.stamp_ns(data), values[self._ANGULAR], values[self._LINEAR]
 
 
+def _picker(indices: Sequence[int]) -> Callable[[Any], tuple[float, ...]]:
+    """Return what picks these places as a tuple; itemgetter gives one alone as a number."""
+    if len(indices) == 1:
+        return itemgetter(slice(indices[0], indices[0] + 1))
+    return itemgetter(*indices)
+
+
 class JointWire:
     """Reads wanted joints from serialised sensor_msgs/JointState, in any order, among others."""
 
     def __init__(self, joint_names: Sequence[str]) -> None:
-        """`joint_names`: at least two, in the order in which `read` gives them."""
+        """`joint_names`: at least one, in the order in which `read` gives them."""
         self._names = tuple(joint_names)
         self._layout: Layout | None = None
-        self._pick = itemgetter(*range(len(self._names)))
+        self._pick = _picker(range(len(self._names)))
 
     def read(self, data: bytes) -> tuple[int, tuple[float, ...]]:
         """Return stamp (ns) and positions; raises JointStateError, UnreadableError."""
@@ -291,7 +299,7 @@ class JointWire:
         indices = joint_indices(self._names, layout.names)
         positions, velocities, _ = layout.counts
         check_joint_counts(len(layout.names), positions, velocities)
-        self._pick = itemgetter(*indices)
+        self._pick = _picker(indices)
         return layout
 
 

@@ -1,8 +1,10 @@
-"""The command layer: parser, shared options, output places, progress, exit codes. No rclpy."""
+"""The command layer: parser, options, output places, pages, progress, exit codes. No rclpy."""
 
 from __future__ import annotations
 
 import argparse
+import base64
+import hashlib
 import json
 import math
 import shutil
@@ -11,6 +13,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -104,6 +107,21 @@ def add_topic(options: _Options, option: str, default: str, what: str) -> None:
     )
 
 
+def add_table_columns(options: _Options) -> None:
+    """Add `--columns` and `--wrench-frame` of a table of readings."""
+    options.add_argument(
+        "--columns",
+        metavar="NAMES",
+        help="comma-separated column names of a table without a first line of names; '-' skips one",
+    )
+    options.add_argument(
+        "--wrench-frame",
+        choices=("sensor", "base"),
+        default="sensor",
+        help="axes that the table's wrenches are written in (default: %(default)s)",
+    )
+
+
 def add_workers(options: _Options) -> None:
     """Add `--workers N` and `--scheduler ADDRESS`, for galen_bags.many (None: not given)."""
     group = options.add_mutually_exclusive_group()
@@ -114,7 +132,7 @@ def add_workers(options: _Options) -> None:
         "--scheduler",
         metavar="ADDRESS",
         help="address (tcp://host:port) or file of a Dask scheduler whose workers see the same"
-        " paths; only one that you trust",
+        " paths or URLs; only one that you trust",
     )
 
 
@@ -222,6 +240,46 @@ def _check_writable(folder: Path, named: Path) -> None:
             raise GalenError(f"{named}: can't be written: {existing}: is no directory")
         # Permissions alone don't decide it: root has them all, and a disk may be read-only.
         Path(tempfile.mkdtemp(dir=existing, prefix=".galen_")).rmdir()
+
+
+# Pages
+
+
+@dataclass(frozen=True)
+class PageRow:
+    """A row of a page's table; share: of a bar beside it, None without one."""
+
+    cells: Sequence[str]
+    share: float | None = None
+    marked: bool = False
+
+
+def render_page(template: Path, pictures: Mapping[str, bytes], **content: Any) -> str:
+    """Return a page for people: one file that loads and runs nothing.
+
+    Text is escaped by jinja2. The Content-Security-Policy lets in nothing but pictures in the page
+    itself and the one style sheet whose hash it names; a name that smuggled in a tag could still
+    not run or load anything.
+
+    Args:
+        template: extends `page.html`.
+        pictures: PNG by name.
+        content: `title`, `sentence`, `verdict`, `good`, `captions` (by picture) and what the
+            template shows.
+
+    """
+    from jinja2 import Environment, FileSystemLoader  # slow to import
+
+    here = Path(__file__).parent
+    style = (here / "style.css").read_text(encoding="utf-8")
+    loader = FileSystemLoader([template.parent, here])
+    page = Environment(autoescape=True, trim_blocks=True, loader=loader).get_template(template.name)
+    return page.render(
+        style=style,
+        digest=base64.b64encode(hashlib.sha256(style.encode()).digest()).decode(),
+        pictures={name: base64.b64encode(png).decode() for name, png in pictures.items()},
+        **content,
+    )
 
 
 # Terminal

@@ -70,6 +70,9 @@ class _Path:
     def __call__(self) -> object:
         """Run the executable; returns its exit code."""
         _interrupts.take()
+        # Before numpy is imported: for matrices as small as the suite's, waking threads costs more
+        # than they bring, and on a busy machine ten times as much.
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         # Called last: what is left is the interpreter's end, which would drop a handler in Python.
         atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)
         module, _, function = self._name.rpartition(".")

@@ -183,6 +183,8 @@ class BackgroundJobs:
                 dropped()
 
     def _on_look(self) -> None:
+        if not self._waiting:  # closed, and the timer with the node destroyed (ros2/rclpy#1206)
+            return
         while self._waiting and self._waiting[0][0].done():
             future, done, _ = self._waiting.pop(0)
             done(future.result())

@@ -41,6 +41,8 @@ def test_the_executor_goes_on_and_gets_the_results_in_order(make) -> None:
         with pytest.raises(ZeroDivisionError):
             harness.wait_for(lambda: len(results) > 4, 5.0, "an error")
         background.close()
+        node.destroy_node()
+        background._on_look()  # as the executor may call it, whose timer is destroyed
 
 
 def test_rclpy_is_the_version_that_the_workarounds_are_for():

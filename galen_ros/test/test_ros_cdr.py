@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from galen_model.arm.galen import GALEN
 from galen_ros.cdr import (
+    JointWire,
     UnreadableError,
     joint_state_bytes,
     joint_state_layout,
@@ -117,3 +118,12 @@ def test_what_is_not_cdr_is_unreadable():
         joint_state_layout(data[:12] + b"\xff\xff\xff\xff" + data[16:])
     with pytest.raises(UnreadableError, match="UTF-8"):
         stamped_layout(data.replace(b"ft_sensor", b"ft_\xff\xfe\xfa\xfb\xfc\xfd"), 6)
+
+
+@pytest.mark.parametrize("wanted", [["tilt"], ["tilt", "roll"]])
+def test_joints_come_as_tuples_even_one(wanted):
+    message = JointState(name=["roll", "tilt"], position=[1.0, 2.0], velocity=[3.0, 4.0])
+    wire = JointWire(wanted)
+    _, positions, velocities = wire.read_motion(serialize_message(message))
+    assert positions == (2.0, 1.0)[: len(wanted)]
+    assert velocities == (4.0, 3.0)[: len(wanted)]

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import pytest
+from galen_ros.arm import ArmParameters
 from galen_ros.node.parameters import declare_parameters, warn_of_unknown_parameters
 from galen_ros.node.testing import Harness, parameters
 from galen_ros.parameters import ParameterError, param
@@ -111,3 +112,10 @@ def test_only_a_misspelt_parameter_gives_a_warning(harness):
         "parameter 'rate_hs' is unknown to /example and ignored: did you mean 'rate_hz'?",
     ]
     harness.remove(node)
+
+
+@pytest.mark.parametrize("gravity", [(0.0, 0.0, -98.1), (0.0, 0.0, 0.0), (9.8, 0.0)])
+def test_gravity_that_no_calibration_file_may_have_is_rejected_at_start(gravity):
+    ArmParameters(gravity_m_s2=(0.0, 6.9, 6.9)).validate()
+    with pytest.raises(ParameterError, match=r"gravity_m_s2.* 9.7 to 9.9 m/s\^2 long"):
+        ArmParameters(gravity_m_s2=gravity).validate()

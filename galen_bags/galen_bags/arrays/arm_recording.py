@@ -9,14 +9,15 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
+from galen_ros.arm import ArmParameters
 from galen_ros.cdr import (
     NS_PER_S,
     STAMP_AT,
@@ -30,13 +31,16 @@ from galen_ros.cdr import (
 )
 
 from galen_bags import BagError
-from galen_bags.formats.bag import Bag, listing, open_bag
+from galen_bags.formats.bag import Bag, listing, open_bag, robot_description
 from galen_bags.formats.raw_block import Messages, windows
 
 WRENCH_TYPE = "geometry_msgs/msg/WrenchStamped"
 POSE_TYPE = "geometry_msgs/msg/PoseStamped"
 JOINT_STATE_TYPE = "sensor_msgs/msg/JointState"
+TEMPERATURE_TYPE = "sensor_msgs/msg/Temperature"
 
+_FIRST = np.zeros(1, dtype=np.intp)
+_NO_MESSAGES = Messages(*[np.zeros(0, dtype=np.int64)] * 5)  # a block's, once it is decoded
 _KEPT_LAYOUTS = 16
 # A block in which every message is another one is not worth an array operation for each.
 _MOST_LAYOUTS_A_BLOCK = 64
@@ -68,16 +72,18 @@ class Decoder:
     def __init__(
         self, type_name: str, joint_names: Sequence[str] = (), required: Sequence[str] = ()
     ) -> None:
-        """Take one of the three types.
+        """Take one of the four types.
 
         The values are a wrench's (fx, fy, fz, tx, ty, tz) N and N.m; a pose's (x, y, z, qx, qy,
-        qz, qw) m; a joint state's positions, then velocities of `joint_names`. A joint state that
-        lacks one of those `required` is bad; others that it lacks are NaN.
+        qz, qw) m; a temperature, degrees Celsius, and its variance; a joint state's positions, then
+        velocities of `joint_names`. A joint state that lacks one of those `required` is bad; others
+        that it lacks are NaN.
         """
         self._type_name = type_name
         self._joint_names = tuple(joint_names)
         self._required = tuple(required)
-        widths = {WRENCH_TYPE: 6, POSE_TYPE: 7, JOINT_STATE_TYPE: 2 * len(self._joint_names)}
+        widths = {WRENCH_TYPE: 6, POSE_TYPE: 7, TEMPERATURE_TYPE: 2}
+        widths[JOINT_STATE_TYPE] = 2 * len(self._joint_names)
         if type_name not in widths:
             raise BagError(f"messages of type {type_name} can't be read here")
         self._width = widths[type_name]
@@ -209,13 +215,57 @@ class ArmTopics:
     """Where the arm's samples are in a bag.
 
     A topic is taken by its whole name, or else as the only one of its type that ends with it, so
-    that recordings of a namespace need no option. `joint_names`: the arm's joints in their order;
-    the turning ones must be there, the others need not.
+    that recordings of a namespace need no option; by default, as the only one of its type.
+    `joint_names`: the arm's joints in their order, empty: as the arm has them; the turning ones
+    must be there, the others need not.
     """
 
     joint_states: str = "joint_states"
     wrench_raw: str = "wrench_raw"
-    joint_names: tuple[str, ...] = GALEN.joint_names
+    joint_names: tuple[str, ...] = ()
+
+    def find(self, bag: Bag, type_name: str) -> str:
+        """Return the bag's topic of the joints or of the wrench, by its type; raises BagError."""
+        field_name = "wrench_raw" if type_name == WRENCH_TYPE else "joint_states"
+        name = getattr(self, field_name)
+        # A compensated wrench would be taken for a raw one.
+        usable = [topic for topic in _of_type(bag, type_name) if "compensated" not in topic]
+        try:
+            return find_topic(bag, name, type_name)
+        except BagError as error:
+            if name == getattr(ArmTopics, field_name) and len(usable) == 1:
+                return usable[0]
+            remedy = f"; name the one to read (--{field_name.replace('_', '-')} TOPIC)"
+            if not usable:
+                remedy = "; record joint states: tf does not hold the joints' angles"
+                if type_name == WRENCH_TYPE:
+                    remedy = "; record the sensor's own readings"
+            cut = "".join(f"; {problem}" for problem in bag.problems)
+            raise BagError(f"{error}{cut or remedy}") from error
+
+    def temperature(self, bag: Bag, wrench_raw: str) -> str:
+        """Return the topic of the sensor's temperature; empty where none is it for certain.
+
+        The bag's only one of its type, or the only one beside the wrenches.
+        """
+        topics = _of_type(bag, TEMPERATURE_TYPE)
+        beside = [t for t in topics if t.rpartition("/")[0] == wrench_raw.rpartition("/")[0]]
+        return next((one[0] for one in (topics, beside) if len(one) == 1), "")
+
+
+def arm_of_bag(bag: Bag, parameters: ArmParameters, topics: ArmTopics | None = None) -> Arm:
+    """Return the arm of the parameters' file, else of the bag's description, else the Galen.
+
+    A described arm's sensor frame is the wrenches' own `frame_id`, unless the parameters name one.
+    Raises BagError and GalenError.
+    """
+    text = robot_description(bag)
+    if (text or parameters.urdf_file) and parameters.sensor_frame == ArmParameters.sensor_frame:
+        topic = (topics or ArmTopics()).find(bag, WRENCH_TYPE)
+        block = next(bag.blocks([topic]), None)
+        frame = "" if block is None else Decoder(WRENCH_TYPE).decode(block, _FIRST).frame_ids[-1]
+        parameters = replace(parameters, sensor_frame=frame or parameters.sensor_frame)
+    return parameters.arm(text)
 
 
 @dataclass(frozen=True)
@@ -254,14 +304,14 @@ class ArmReader:
         of the `duration_s` (None: all) from `start_s` after the first one's log time on are read.
         """
         topics = topics or ArmTopics()
-        names, count = topics.joint_names, len(arm.joints)
+        names, count = topics.joint_names or arm.joint_names, len(arm.joints)
         if len(names) != count:
             raise BagError(f"{len(names)} joint names; the arm has {count} joints")
         self.bag = bag
         self._start_s = start_s
         self._duration_s = math.inf if duration_s is None else duration_s
-        self.joint_states = find_topic(bag, topics.joint_states, JOINT_STATE_TYPE)
-        self.wrench_raw = find_topic(bag, topics.wrench_raw, WRENCH_TYPE)
+        self.joint_states = topics.find(bag, JOINT_STATE_TYPE)
+        self.wrench_raw = topics.find(bag, WRENCH_TYPE)
         self.read_topics = [self.joint_states, self.wrench_raw]
         if all_topics:
             self.read_topics += [
@@ -318,7 +368,7 @@ def find_topic(bag: Bag, name: str, type_name: str) -> str:
             if found != type_name:
                 raise BagError(f"{bag.path}: {exact} is a {found}, not a {type_name}")
             return exact
-    of_type = [topic.name for topic in bag.topics.values() if topic.type_name == type_name]
+    of_type = _of_type(bag, type_name)
     ending = [topic for topic in of_type if topic.endswith("/" + bare)]
     if len(ending) == 1:
         return ending[0]
@@ -331,13 +381,19 @@ def find_topic(bag: Bag, name: str, type_name: str) -> str:
     )
 
 
+def _of_type(bag: Bag, type_name: str) -> list[str]:
+    return [topic.name for topic in bag.topics.values() if topic.type_name == type_name]
+
+
 @dataclass(frozen=True)
 class ArmRecording:
     """A whole recording in memory, about half a kilobyte a message: minutes, not hours.
 
     joint_stamp_ns (n,), joints (n, k) m and rad, joint_velocities (n, k) NaN where the messages
     have none; wrench_stamp_ns (m,), wrenches (m, 6) N and N.m; log times in ns; messages that
-    can't be used are left out and named in `problems`, beside what is wrong with the bag.
+    can't be used are left out and named in `problems`, beside what is wrong with the bag. topics:
+    of joint states, wrenches and, where there is one, temperatures; temperature_c (k,), degrees
+    Celsius, in the order of their stamps.
     """
 
     path: Path
@@ -350,17 +406,32 @@ class ArmRecording:
     wrenches: Array
     frame_ids: tuple[str, ...]
     problems: tuple[str, ...]
+    topics: tuple[str, ...] = ()
+    temperature_stamp_ns: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    temperature_c: Array = field(default_factory=lambda: np.zeros(0))
 
 
 def read_arm(
-    path: str | os.PathLike[str], topics: ArmTopics | None = None, arm: Arm = GALEN
+    path: str | os.PathLike[str],
+    topics: ArmTopics | None = None,
+    arm: Arm = GALEN,
+    progress: Callable[[Iterator[ArmBlock]], Iterable[ArmBlock]] = iter,
 ) -> ArmRecording:
-    """Read a bag's joint states and wrenches. Raises BagError, naming the bag."""
+    """Read a bag's joint states and wrenches; `progress` wraps the blocks as they are read.
+
+    Raises BagError, naming the bag.
+    """
+    topics = topics or ArmTopics()
     with open_bag(path) as bag:
         reader = ArmReader(bag, topics, arm=arm)
-        blocks = list(reader.blocks())
+        names = [reader.joint_states, reader.wrench_raw]
+        if temperature := topics.temperature(bag, reader.wrench_raw):
+            reader.read_topics.append(temperature)
+        warm, blocks, decoder = [], [], Decoder(TEMPERATURE_TYPE)
+        for block in progress(reader.blocks()):
+            blocks.append(replace(block, messages=_NO_MESSAGES))
+            warm.append(decoder.decode(block.messages, np.flatnonzero(block.messages.topic == 2)))
         problems = bag.problems
-        names = (reader.joint_states, reader.wrench_raw)
     count = len(arm.joints)
     joints = join_samples([block.joints for block in blocks], 2 * count)
     wrenches = join_samples([block.wrenches for block in blocks], 6)
@@ -371,11 +442,20 @@ def read_arm(
         if not len(samples):
             raise BagError(f"{path}: {name} has no message" + "".join(f"; {p}" for p in problems))
         if not len(good):
-            raise BagError(f"{path}: {name} has no usable message: {reason}")
+            remedy = ""
+            if samples is joints:
+                remedy = (
+                    f"; another arm than '{arm.name}' needs its description (robot_description in"
+                    " the bag, or --urdf FILE), other names of its joints --joint-names"
+                )
+            raise BagError(f"{path}: {name} has no usable message: {reason}{remedy}")
         if samples.bad:
             how_many = f"{len(samples.bad)} message{'s' if len(samples.bad) > 1 else ''}"
             problems.append(f"{name}: {how_many} can't be used: {reason}")
         kept.append(good if samples.bad else slice(None))  # a slice copies nothing
+    degrees = join_samples(warm, 2)
+    usable = np.flatnonzero(np.isfinite(degrees.values[:, 0]))
+    usable = usable[np.argsort(degrees.stamp_ns[usable], kind="stable")]
     joint_log = np.concatenate([block.joint_log_ns for block in blocks])
     wrench_log = np.concatenate([block.wrench_log_ns for block in blocks])
     return ArmRecording(
@@ -389,4 +469,7 @@ def read_arm(
         wrenches.values[kept[1]],
         tuple(wrenches.frame_ids[k] for k in np.unique(wrenches.frame[kept[1]])),
         tuple(problems),
+        tuple([*names, temperature] if len(usable) else names),
+        degrees.stamp_ns[usable],
+        degrees.values[usable, 0],
     )

@@ -12,6 +12,7 @@ caller. A row of a table with orientations is one reading:
     roll tilt               or what the arm's turning joints are called, rad
     and, where there are,
     t                       time, s
+    temperature             of the sensor, deg C (or temp; temperature_k in kelvin)
     block                   a label; rows of one label are held out together
 """
 
@@ -20,7 +21,7 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -158,6 +159,13 @@ ORIENTATIONS = {
 }
 """Ways to give an orientation beside the arm's angles; the first that a table has is used."""
 
+TEMPERATURES = {
+    f"{name}{unit}": zero_c
+    for name in ("temperature", "temp")
+    for unit, zero_c in (("", 0.0), ("_c", 0.0), ("_degc", 0.0), ("_k", -273.15))
+}
+"""Names of a column of temperatures, and what makes its numbers deg C."""
+
 _ROTATION_TOLERANCE = 1e-2
 _GRAVITY_TOLERANCE = 0.02
 
@@ -168,7 +176,7 @@ class OrientationTable:
 
     gravity: (n, 3) in the sensor's frame, m/s^2; wrench: (n, 6) N and N.m in the sensor's frame;
     time: (n,) s or None; block: (n,) of texts or None; rotation: R_base_sensor (n, 3, 3), or None
-    where the table tells gravity alone.
+    where the table tells gravity alone; arm: whose sensor it is; temperature_c: (n,) deg C or None.
     """
 
     path: str
@@ -178,6 +186,8 @@ class OrientationTable:
     block: np.ndarray | None
     orientation: str
     rotation: Array | None = None
+    arm: Arm = field(default=GALEN, repr=False)
+    temperature_c: Array | None = None
 
     def __len__(self) -> int:
         """Return the number of readings."""
@@ -194,6 +204,7 @@ class OrientationTable:
             time=time,
             block=block,
             rotation=rotation,
+            temperature_c=None if self.temperature_c is None else self.temperature_c[rows],
         )
 
     def timed(self) -> OrientationTable:
@@ -203,7 +214,7 @@ class OrientationTable:
 
 def _read(path: str | os.PathLike[str], columns: Sequence[str] | None, arm: Arm) -> TextTable:
     known = {name for needed in _ways(arm).values() for name in needed}
-    return read_text_table(path, {"t", *WRENCH_AXES, *known}, columns)
+    return read_text_table(path, {"t", *WRENCH_AXES, *TEMPERATURES, *known}, columns)
 
 
 def _ways(arm: Arm) -> dict[str, tuple[str, ...]]:
@@ -241,7 +252,15 @@ def read_table(
         at = text.names.index("block")
         block = np.array([row[at].strip() for row in text.rows])
     time = text.numbers.get("t")
-    return OrientationTable(str(text.path), gravity, wrench, time, block, kind, rotation)
+    temperature = [
+        text.numbers[name] + zero_c for name, zero_c in TEMPERATURES.items() if name in text.numbers
+    ]
+    if len(temperature) > 1:
+        raise GalenError(f"{text.path}: {len(temperature)} columns of temperatures; expected one")
+    return OrientationTable(
+        str(text.path), gravity, wrench, time, block, kind, rotation, arm,
+        temperature[0] if temperature else None,
+    )  # fmt: skip
 
 
 def read_wrenches(
@@ -284,7 +303,7 @@ def average_still(
             f"({table.time[row - 1]:.6f} s, then {table.time[row]:.6f} s)"
         )
     means: list[tuple[Array, Array, float, str]] = []
-    rotations = []
+    rotations, temperatures = [], []
     variances = []
     for number, phase in enumerate(rest_by_direction(table.time, table.gravity, settings)):
         time = table.time[phase]
@@ -301,6 +320,8 @@ def average_still(
             )  # fmt: skip
             if table.rotation is not None:  # still: as good as equal, like gravity
                 rotations.append(table.rotation[rows].mean(axis=0))
+            if table.temperature_c is not None:
+                temperatures.append(float(table.temperature_c[rows].mean()))
         if len(in_phase) > 1:
             variances.append(np.var(in_phase, axis=0, ddof=1))
     if not means:
@@ -308,7 +329,8 @@ def average_still(
     gravity, wrench, time_of, label = zip(*means, strict=True)
     averaged = OrientationTable(
         table.path, np.array(gravity), np.array(wrench), np.array(time_of), np.array(label),
-        table.orientation, np.array(rotations) if rotations else None,
+        table.orientation, np.array(rotations) if rotations else None, table.arm,
+        np.array(temperatures) if temperatures else None,
     )  # fmt: skip
     scatter = np.sqrt(np.mean(variances, axis=0)) if variances else np.full(6, np.nan)
     return averaged, scatter
@@ -398,10 +420,11 @@ def read_motion(
     orientations_file: Path,
     time_unit_s: float,
     imu_unit_m_s2: float,
+    arm: Arm = GALEN,
 ) -> MotionTable:
     """Return a run's tables; without an IMU its arrays are empty. Raises GalenError."""
     wrench_t, wrench = read_wrenches(wrench_file)
-    gravity_t, gravity = read_orientations(orientations_file)
+    gravity_t, gravity = read_orientations(orientations_file, arm=arm)
     imu_t, specific = np.zeros(0), np.zeros((0, 3))
     if imu_file is not None:
         imu_t = read_text_table(imu_file, {"t", *_IMU}).require("t")

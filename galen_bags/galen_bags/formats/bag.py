@@ -230,6 +230,22 @@ def open_bag(path: str | os.PathLike[str]) -> Bag:
     return Bag(path, there, problems)
 
 
+def robot_description(bag: Bag) -> str:
+    """Return the first text of the bag's topic `robot_description`; empty where it has none.
+
+    Raises BagError for one that is no std_msgs/String.
+    """
+    names = [name for name in bag.topics if name.rpartition("/")[2] == "robot_description"]
+    for block in bag.blocks(names[:1]):
+        data = block.message(0)  # CDR: the encoding's four bytes, the length, the text, a zero
+        order = "<" if data[1:2] == b"\x01" else ">"
+        (size,) = struct.unpack(order + "I", data[4:8]) if len(data) >= 8 else (0,)
+        if not 0 < size == len(data[8 : 8 + size]):
+            raise BagError(f"{bag.path}: {names[0]} holds no std_msgs/msg/String")
+        return data[8 : 7 + size].decode("utf-8", errors="replace")
+    return ""
+
+
 def content_sha256(path: str | os.PathLike[str]) -> str:
     """Return the SHA-256, in hexadecimal, over every message of a bag in order of log time.
 

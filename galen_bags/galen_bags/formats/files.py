@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 from typing import Any
@@ -20,7 +20,7 @@ from galen_bags import BagError
 STORAGES = (".mcap", ".db3")
 ZSTD_ENDING = ".zstd"
 _FILES = (*STORAGES, *(f"{storage}{ZSTD_ENDING}" for storage in STORAGES))
-_METADATA = "metadata.yaml"
+METADATA = "metadata.yaml"
 # What rosbag2's metadata begins with; other programs have a metadata.yaml, too.
 _METADATA_KEY = "rosbag2_bagfile_information"
 _METADATA_HEAD_BYTES = 4096
@@ -66,7 +66,7 @@ def read_metadata(path: Path) -> BagMetadata:
 
 
 def _information(directory: Path) -> Any:
-    raw = read_limited(directory / _METADATA, _MOST_BYTES, "a bag's metadata")
+    raw = read_limited(directory / METADATA, _MOST_BYTES, "a bag's metadata")
     return yaml.load(raw.decode(), Loader=_Loader)[_METADATA_KEY]  # noqa: S506 - a SafeLoader
 
 
@@ -87,7 +87,7 @@ def storage_of(path: Path) -> str:
 
 def listed_files(directory: Path) -> tuple[list[Path] | None, list[str]]:
     """Return the files that metadata.yaml lists (None: unknown), and what is wrong with it."""
-    if not (directory / _METADATA).exists():
+    if not (directory / METADATA).exists():
         return None, [f"{directory.name} has no metadata.yaml: its recording was cut off"]
     try:
         # Only names: a path in it must not lead out of the directory.
@@ -157,16 +157,31 @@ def _below(path: Path, seen: set[tuple[int, int]]) -> Iterator[Path]:
 
 
 def _is_rosbag2(directory: Path) -> bool:
-    files = storage_files(directory)
-    metadata = directory / _METADATA
-    if metadata.is_file():
-        if files:
-            return True
+    files = [file.name for file in storage_files(directory)]
+    metadata = directory / METADATA
+    if metadata.is_file() and not files:
         with metadata.open("rb") as stream:
             return _METADATA_KEY.encode() in stream.read(_METADATA_HEAD_BYTES)
+    return is_rosbag2(directory.resolve().name, files, described=metadata.is_file())
+
+
+def is_rosbag2(directory: str, files: Sequence[str], *, described: bool) -> bool:
+    """Return whether a directory with these files of bags is one bag.
+
+    Args:
+        directory: its name.
+        files: names of its files of bags.
+        described: whether it has a metadata.yaml.
+
+    """
     # A folder of recordings has no metadata.yaml either, but they have names of their own.
-    own = re.compile(re.escape(directory.resolve().name) + r"(_\d+)?\.")
-    return bool(files) and all(own.match(file.name) for file in files)
+    own = re.compile(re.escape(directory) + r"(_\d+)?\.")
+    return bool(files) and (described or all(own.match(file) for file in files))
+
+
+def is_storage(name: str) -> bool:
+    """Return whether a file of this name is one of a bag."""
+    return name.endswith(_FILES) and not name.startswith(".")
 
 
 def _identity(path: Path) -> tuple[int, int]:

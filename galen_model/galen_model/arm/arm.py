@@ -14,9 +14,10 @@ joints alone: `Arm.turning` are their places, and an array of their values is ca
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, Literal
 
@@ -30,6 +31,9 @@ from galen_model.registration import move_wrench
 from galen_model.rotation import about, skew
 
 STANDARD_GRAVITY_M_S2 = 9.80665
+GRAVITY_RANGE_M_S2 = 9.7, 9.9
+"""Sizes of gravity that are on earth."""
+MAX_URDF_BYTES = 10_000_000
 
 
 def constant(*values: float) -> Array:
@@ -41,6 +45,15 @@ def constant(*values: float) -> Array:
 
 Components = tuple[Any, Any, Any]
 """Components of a vector: floats, or arrays of one shape."""
+
+
+def _placement(joint: Joint) -> list[float]:
+    rotation = np.eye(3) if joint.rotation is None else joint.rotation
+    return [*joint.axis, *joint.origin_m, *rotation.flat, joint.lower, joint.upper]
+
+
+def _same(one: ArrayLike, other: ArrayLike) -> bool:
+    return bool(np.allclose(one, other, rtol=0.0, atol=1e-9))
 
 
 Turn = Callable[[Components, Any, Any], Components]
@@ -107,7 +120,8 @@ class Joint:
     """A movable joint; lengths m, angles rad, stiffness N/m or N.m/rad (inf: rigid).
 
     axis: (3,) unit vector in the joint's own frame; origin_m (3,) and rotation (3, 3), None for no
-    turn, place that frame in the link before it; link: the name of the link that it moves.
+    turn, place that frame in the link before it; link: the name of the link that it moves;
+    max_velocity: m/s or rad/s, inf where it is not known.
     """
 
     name: str
@@ -120,6 +134,7 @@ class Joint:
     stiffness: float = math.inf
     rotation: Array | None = None
     link: str = ""
+    max_velocity: float = math.inf
 
     @property
     def unit(self) -> str:
@@ -144,6 +159,11 @@ class Arm:
     base_frame: str = "base_link"
     sensor_frame: str = "ft_sensor"
     delta: LinearDelta | None = None
+    urdf: str = field(default="", repr=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the fields alone: what was derived of them may hold functions."""
+        return {name.name: getattr(self, name.name) for name in fields(self)}
 
     # Joints
 
@@ -156,6 +176,12 @@ class Arm:
     def units(self) -> tuple[str, ...]:
         """Unit of each joint's value: m or rad."""
         return tuple(joint.unit for joint in self.joints)
+
+    def by_unit(self, metres: float, radians: ArrayLike) -> Array:
+        """Return (n,): a value for prismatic joints; one, or (k,), for the revolute."""
+        values = np.full(len(self.joints), float(metres))
+        values[list(self.turning)] = radians
+        return values
 
     @cached_property
     def home(self) -> Array:
@@ -196,6 +222,35 @@ class Arm:
         return replace(self, joints=joints, delta=delta)
 
     @cached_property
+    def urdf_sha256(self) -> str:
+        """SHA-256 of the description's text."""
+        return hashlib.sha256(self.urdf.encode()).hexdigest()
+
+    def difference(self, other: Arm) -> str:
+        """Return what another arm has otherwise, in words; empty where both move alike."""
+        if self.joint_names != other.joint_names:
+            return (
+                f"the joints are {', '.join(other.joint_names)} instead of"
+                f" {', '.join(self.joint_names)}"
+            )
+        for one, two in zip(self.joints, other.joints, strict=True):
+            if one.kind != two.kind or not _same(_placement(one), _placement(two)):
+                return f"joint {one.name} has another place, axis or limits"
+        if (self.base_frame, self.sensor_frame) != (other.base_frame, other.sensor_frame):
+            return (
+                f"the frames are {other.base_frame} and {other.sensor_frame} instead of"
+                f" {self.base_frame} and {self.sensor_frame}"
+            )
+        if not _same(
+            [*self.sensor_origin_m, *self.sensor_rotation.flat],
+            [*other.sensor_origin_m, *other.sensor_rotation.flat],
+        ):
+            return f"the frame {self.sensor_frame} is elsewhere"
+        if not _same(self.gravity_m_s2, other.gravity_m_s2):
+            return f"gravity is {other.gravity_m_s2} instead of {self.gravity_m_s2} m/s^2"
+        return ""
+
+    @cached_property
     def turning(self) -> tuple[int, ...]:
         """Places of the revolute joints: what gravity in the sensor depends on."""
         return tuple(k for k, joint in enumerate(self.joints) if joint.kind == "revolute")
@@ -204,6 +259,24 @@ class Arm:
     def turning_names(self) -> tuple[str, ...]:
         """Names of the revolute joints (k)."""
         return tuple(self.joint_names[k] for k in self.turning)
+
+    @cached_property
+    def endless(self) -> np.ndarray:
+        """Which joints (n,) turn without limits; some drivers report them within one turn."""
+        return np.array(
+            [j.kind == "revolute" and math.isinf(j.upper - j.lower) for j in self.joints]
+        )
+
+    def nearest(self, joints: ArrayLike, to: ArrayLike) -> Array:
+        """Joints (..., n) or angles (..., k), the endless ones by whole turns nearest to `to`."""
+        q = np.asarray(joints, dtype=float)
+        endless = self.endless
+        if not endless.any():
+            return q
+        if q.shape[-1] != len(endless):
+            endless = endless[list(self.turning)]
+        turns = np.round((q - np.asarray(to, dtype=float)) / (2.0 * np.pi))
+        return np.where(endless, q - 2.0 * np.pi * turns, q)
 
     @cached_property
     def home_angles(self) -> Array:
@@ -306,13 +379,15 @@ class Arm:
 
         A revolute column is (axis x (tip - origin), axis); a prismatic one (axis, 0).
         """
-        origins, axes = self.joint_axes(joints)
-        _, tip = self.tip_pose(joints, tip_m)
-        jacobian = np.zeros((*axes.shape[:-2], 6, len(self.joints)))
-        for k, joint in enumerate(self.joints):
-            axis = axes[..., k, :]
+        links = self._links(joints)
+        rotation, origin = links[-1]
+        in_link = self.sensor_origin_m + self.sensor_rotation @ np.asarray(tip_m, dtype=float)
+        tip = origin + rotation @ in_link
+        jacobian = np.zeros((*tip.shape[:-1], 6, len(self.joints)))
+        for k, (joint, (rotation, origin)) in enumerate(zip(self.joints, links, strict=True)):
+            axis = rotation @ joint.axis
             if joint.kind == "revolute":
-                jacobian[..., :3, k] = np.cross(axis, tip - origins[..., k, :])
+                jacobian[..., :3, k] = np.cross(axis, tip - origin)
                 jacobian[..., 3:, k] = axis
             else:
                 jacobian[..., :3, k] = axis

@@ -13,13 +13,13 @@ import numpy as np
 import pinocchio
 from numpy.typing import ArrayLike
 
-from galen_model.arm.arm import Arm, Joint, constant
-from galen_model.arm.galen import GALEN, SENSOR_FRAME, TIP_FRAME
-from galen_model.arm.urdf import galen_urdf
+from galen_model.arm.arm import MAX_URDF_BYTES, Arm, Joint, constant
+from galen_model.arm.galen import GALEN, SENSOR_FRAME, TIP_FRAME, galen_urdf
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 
-MAX_URDF_BYTES = 10_000_000
+MAX_LINKS = 1000
+"""Pinocchio's parser recurses over links: a chain of some thousands overflows the stack."""
 
 
 def read_arm(
@@ -32,15 +32,24 @@ def read_arm(
     """Return the arm between two frames of a URDF.
 
     base_frame: empty for the root link. gravity_m_s2: (3,) in base_frame, None for standard gravity
-    along its -z. Raises GalenError for text that is no URDF, or is larger than 10 MB, for
-    frames that it lacks, and for a chain without a movable joint.
+    along its -z. Raises GalenError for text that is no URDF, is larger than 10 MB or has more than
+    MAX_LINKS links, for frames that it lacks, for a joint of the chain without axis or limits, and
+    for a chain without a revolute joint.
     """
+    try:
+        return _read(text, base_frame, sensor_frame, gravity_m_s2)
+    except (ArithmeticError, LookupError, RuntimeError, TypeError, ValueError) as error:
+        raise GalenError(f"the robot description can't be read: {error}") from error
+
+
+def _read(text: str, base_frame: str, sensor_frame: str, gravity_m_s2: ArrayLike | None) -> Arm:
     if len(text) > MAX_URDF_BYTES:
         raise GalenError(
             f"the robot description has {len(text)} characters; at most {MAX_URDF_BYTES} are read"
         )
     try:
         root = ElementTree.fromstring(text)
+        _check_description(root)
         model = pinocchio.buildModelFromXML(text)
     except (ElementTree.ParseError, ValueError) as error:
         raise GalenError(f"the robot description is not a URDF: {error}") from error
@@ -59,22 +68,42 @@ def read_arm(
     data = model.createData()
     pinocchio.computeJointJacobians(model, data, pinocchio.neutral(model))
     links = _child_links(root)
-    _check_independent(root, [model.names[index] for index in chain])
+    _check_joints(root, [model.names[index] for index in chain])
     for index in chain:
         placement = before * model.jointPlacements[index]
         before = pinocchio.SE3.Identity()
         joints.append(_joint(model, data, index, placement, links))
+    if all(joint.kind == "prismatic" for joint in joints):
+        raise GalenError(
+            f"no revolute joint lies between '{base_frame}' and '{sensor_frame}': a sensor that"
+            " doesn't turn can't distinguish a load from its own offsets; name another base_frame"
+            " or sensor_frame"
+        )
     arm = Arm(
         name=root.get("name") or "arm",
         joints=tuple(joints),
         sensor_origin_m=constant(*sensor.placement.translation),
         sensor_rotation=sensor.placement.rotation.copy(),
+        urdf=text,
         base_frame=base_frame,
         sensor_frame=sensor_frame,
     )
-    if gravity_m_s2 is None:
+    if gravity_m_s2 is not None:
+        arm = replace(arm, gravity_m_s2=constant(*np.asarray(gravity_m_s2, dtype=float)))
+    # The rods and home of the Galen can't be in its description.
+    galen = replace(GALEN, gravity_m_s2=arm.gravity_m_s2, urdf=text)
+    if arm.joint_names != galen.joint_names:
         return arm
-    return replace(arm, gravity_m_s2=constant(*np.asarray(gravity_m_s2, dtype=float)))
+    pairs = list(zip(galen.joints, arm.joints, strict=True))
+    if not galen.difference(arm):
+        return replace(
+            galen, joints=tuple(replace(own, max_velocity=told.max_velocity) for own, told in pairs)
+        )
+    # A description that was corrected has other zeros and axes of roll and tilt on the same rods.
+    if galen.difference(replace(arm, joints=(*arm.joints[:3], *galen.joints[3:]))):
+        return arm
+    corrected = (replace(told, home=own.home, stiffness=own.stiffness) for own, told in pairs)
+    return replace(arm, joints=tuple(corrected), delta=galen.delta)
 
 
 def _root_link(root: ElementTree.Element) -> str:
@@ -94,13 +123,54 @@ def _child_links(root: ElementTree.Element) -> dict[str, str]:
     }
 
 
-def _check_independent(root: ElementTree.Element, names: list[str]) -> None:
-    for joint in root.iter("joint"):
-        mimic = joint.find("mimic")
-        if mimic is not None and joint.get("name") in names:
+def _check_description(root: ElementTree.Element) -> None:
+    """Reject what Pinocchio would crash on, or reject without a name."""
+    links = len(root.findall("link"))
+    if links > MAX_LINKS:
+        raise GalenError(
+            f"the robot description has {links} links; at most {MAX_LINKS} are read: leave out"
+            " what doesn't carry the sensor"
+        )
+    for joint in root.findall("joint"):
+        limit = joint.find("limit")
+        lacking = [name for name in ("effort", "velocity") if limit is None or not limit.get(name)]
+        if joint.get("type") in ("revolute", "prismatic") and lacking:
             raise GalenError(
-                f"joint '{joint.get('name')}' follows {mimic.get('joint')} (mimic), which is not"
+                f"joint '{joint.get('name')}' is {joint.get('type')} and has no <limit> with"
+                f" {' and '.join(lacking)}: add it"
+            )
+
+
+def _check_joints(root: ElementTree.Element, names: list[str]) -> None:
+    """Reject joints of the chain that follow another one, or lack an axis or a range."""
+    for joint in root.findall("joint"):
+        name, axis, limit = joint.get("name"), joint.find("axis"), joint.find("limit")
+        if name not in names:
+            continue
+        mimic = joint.find("mimic")
+        if mimic is not None:
+            raise GalenError(
+                f"joint '{name}' follows {mimic.get('joint')} (mimic), which is not"
                 " supported between base and sensor"
+            )
+        direction = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
+        if not 1e-6 < np.linalg.norm([float(part) for part in direction.split()]) < 1e6:
+            raise GalenError(
+                f"joint '{name}' has the axis \"{direction}\", which is no direction: give it one,"
+                ' as "0 0 1"'
+            )
+        if joint.get("type") == "continuous" or limit is None:
+            continue
+        lower, upper = limit.get("lower"), limit.get("upper")
+        if lower is None and upper is None:
+            raise GalenError(
+                f"joint '{name}' has a <limit> without lower and upper, which means 0 to 0: add"
+                " them, or make the joint continuous"
+            )
+        if float(lower or 0.0) > float(upper or 0.0):
+            raise GalenError(
+                f"joint '{name}' has the limits {lower or 0} to {upper or 0}: lower is above upper,"
+                " exchange them"
             )
 
 
@@ -131,12 +201,14 @@ def _joint(
     links: dict[str, str],
 ) -> Joint:
     name, joint = model.names[index], model.joints[index]
+    # Of a robot with one degree of freedom it has one dimension.
+    jacobian = np.reshape(data.J, (6, model.nv))
     if joint.nv != 1:
         raise GalenError(
             f"joint '{name}' has {joint.nv} degrees of freedom; revolute, continuous and prismatic"
             " joints are supported"
         )
-    column: Array = data.oMi[index].actInv(pinocchio.Motion(data.J[:, joint.idx_v])).vector
+    column: Array = data.oMi[index].actInv(pinocchio.Motion(jacobian[:, joint.idx_v])).vector
     turns = bool(np.linalg.norm(column[3:]) > 0.5)
     axis = column[3:] if turns else column[:3]
     axis = np.where(np.abs(axis - np.round(axis)) < 1e-12, np.round(axis), axis) + 0.0
@@ -145,7 +217,7 @@ def _joint(
     lower, upper = (
         (float(model.lowerPositionLimit[joint.idx_q]), float(model.upperPositionLimit[joint.idx_q]))
         if limited
-        else (-np.pi, np.pi)
+        else (-np.inf, np.inf)
     )
     rotation = placement.rotation.copy()
     home = float(np.clip(0.0, lower, upper))
@@ -159,6 +231,8 @@ def _joint(
         home=home,
         rotation=None if np.allclose(rotation, np.eye(3), rtol=0.0, atol=1e-15) else rotation,
         link=links.get(name, ""),
+        # A limit of zero is how descriptions leave it out.
+        max_velocity=float(model.velocityLimit[joint.idx_v]) or np.inf,
     )
 
 
@@ -167,7 +241,7 @@ class PinocchioArm:
 
     def __init__(self, tip_m: ArrayLike = (0.0, 0.0, 0.0)) -> None:
         """Build the model from the URDF."""
-        self.model = pinocchio.buildModelFromXML(galen_urdf(tip_m))
+        self.model = pinocchio.buildModelFromXML(galen_urdf(GALEN, tip_m))
         self._data = self.model.createData()
         assert tuple(self.model.names[1:]) == GALEN.joint_names
 

@@ -1,8 +1,9 @@
-"""Ways for the arm around boxes: straight in joint space, or over poses between.
+"""Ways for the arm around boxes and itself: straight in joint space, or over poses between.
 
-The poses between are a lattice of angles with all other joints at home. Two neighbours are
-joined where the straight way between them is free, and so are home and its nearest nodes. What is
-joined to home is where the arm can go; any pose from which a node is straight ahead is as well.
+The poses between are a lattice of angles with all other joints at home; without one, home alone.
+Two neighbours are joined where the straight way between them is free, and so are home and its
+nearest nodes. What is joined to home is where the arm can go; any pose from which a node is
+straight ahead is as well.
 """
 
 import itertools
@@ -26,7 +27,7 @@ class Router:
         self, clearance: ArmClearance, home: Array, lattice: Array, name: str = "home"
     ) -> None:
         """Raise ObstacleError where the arm can't stand at home, which it calls by `name`."""
-        self._clearance = clearance
+        self.clearance = clearance
         self._home = np.asarray(home, dtype=float)
         if fault := clearance.pose_fault(self._home):
             raise ObstacleError(f"{name} can't be taken: {fault}")
@@ -50,7 +51,7 @@ class Router:
 
     def fault(self, joints: Array) -> str:
         """Why the arm can't stand at joints (n,) or not get there from home; else empty."""
-        if fault := self._clearance.pose_fault(joints):
+        if fault := self.clearance.pose_fault(joints):
             return fault
         try:
             self.route(self._home, joints)
@@ -125,9 +126,10 @@ class Router:
         return kept
 
     def _path_fault(self, start: Array, goal: Array) -> str:
-        key = np.concatenate([start, goal]).tobytes()
+        ends = (np.asarray(end, dtype=float).tobytes() for end in (start, goal))
+        key = b"".join(sorted(ends))  # a straight way is free both ways or not at all
         if key not in self._known:
-            self._known[key] = self._clearance.path_fault(start, goal)
+            self._known[key] = self.clearance.path_fault(start, goal)
         return self._known[key]
 
 

@@ -1,35 +1,42 @@
-"""How ft_sensor moves: the arm's kinematics, twice differentiated in closed form.
+"""How the sensor moves: the arm's kinematics, twice differentiated by a recursion over its joints.
 
-With r, t roll and tilt, u = c1 + Ry(t) c2 the sensor's origin in the roll link (c1 roll to tilt
-axis, c2 tilt axis to sensor) and w1 = r' e_x, in the axes of the roll link
+From one revolute joint to the next, r the way between their origins in the axes of the link that
+lies between, r', r'' its rates by the prismatic joints on it, w and al the link's angular velocity
+and acceleration, a the acceleration of its origin:
 
-    a_roll = Rx(r)^T d'' + u'' + 2 w1 x u' + w1' x u + w1 x (w1 x u),
+    a <- a + r'' + 2 w x r' + al x r + w x (w x r).
 
-d the platform's position; Ry(t + pi/2)^T turns it into ft_sensor (Craig, *Introduction to
-Robotics*, 3rd ed. 2005, section 6.2). In the axes of ft_sensor
+Then all three are turned into the next link, whose joint turns about e by q:
 
-    w = (-r' sin t, t', r' cos t),   al = dw/dt,
+    al <- al + q'' e + w x (q' e),   w <- w + q' e
 
-because a vector's own rate and its rate in the frame that turns with it agree for w itself.
-Finite differences of `Arm.sensor_pose` and of Pinocchio give the same; a test compares.
+(Craig, *Introduction to Robotics*, 3rd ed. 2005, section 6.5, eqs. 6.45 to 6.47). All of the
+sensor's motion is in its own axes, its acceleration the classical one of its origin.
+
+Arrays go through this recursion, whose overhead of some 0.2 ms a call is too much for a single
+moment: that goes through Pinocchio, in a model made of the same `Arm`. Tests hold both against the
+robot description, and the recursion against finite differences.
 """
 
 from __future__ import annotations
 
-import math
+from collections.abc import Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from galen_model.arm.arm import Arm
+from galen_model.arm.arm import Arm, Components
 from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
-from galen_model.load.inertia import Vector
+
+_BLOCK = 4096
+"""Samples at once: what is computed of them in between stays in the processor's cache."""
 
 
 class SensorMotion(NamedTuple):
-    """Angular velocity, angular acceleration, acceleration of the origin: (..., 3), ft_sensor."""
+    """Angular velocity, angular acceleration, acceleration of the origin: (..., 3), sensor."""
 
     velocity_rad_s: Array
     acceleration_rad_s2: Array
@@ -42,63 +49,106 @@ def sensor_motion(
     accelerations: ArrayLike,
     arm: Arm = GALEN,
 ) -> SensorMotion:
-    """Motion of ft_sensor; all (..., 5) in the order of `Arm.joints`, m, rad and their rates."""
-    q, v, a = np.broadcast_arrays(
+    """Motion of the sensor; all (..., n) in the order of `Arm.joints`, m, rad and their rates."""
+    given = np.broadcast_arrays(
         *(np.asarray(part, dtype=float) for part in (joints, velocities, accelerations))
     )
-    roll, tilt = q[..., 3], q[..., 4]
-    trigonometry = (np.cos(roll), np.sin(roll), np.cos(tilt), np.sin(tilt))
-    platform = (a[..., 0], a[..., 1], a[..., 2])
-    turning = (v[..., 3], v[..., 4], a[..., 3], a[..., 4])
-    parts = _motion(_lengths(arm), trigonometry, platform, turning)
-    return SensorMotion(*(np.stack(np.broadcast_arrays(*part), axis=-1) for part in parts))
+    count = len(arm.joints)
+    rows = [part.reshape(-1, count) for part in given]
+    found = np.empty((3, len(rows[0]), 3))
+    for first in range(0, len(rows[0]), _BLOCK):
+        block = slice(first, first + _BLOCK)
+        columns = (part[block].T for part in rows)
+        for out, parts in zip(found, _recursion(arm, *columns), strict=True):
+            for k in range(3):
+                out[block, k] = parts[k]
+    return SensorMotion(*found.reshape(3, *given[0].shape[:-1], 3))
+
+
+def _recursion(arm: Arm, q: Array, v: Array, a: Array) -> list[Components]:
+    """Return w, al and a in the sensor of joints (n, m) and their rates."""
+    zero: Components = (0.0, 0.0, 0.0)
+    omega = alpha = linear = way = way_rate = way_rate_2 = zero
+    turned = np.eye(3)
+    turns = iter(arm.turns)
+    for k, joint in enumerate(arm.joints):
+        way = _plus(way, turned @ joint.origin_m)
+        if joint.rotation is not None:
+            turned = turned @ joint.rotation
+        axis = turned @ joint.axis
+        if joint.kind == "prismatic":
+            way, way_rate = _plus(way, axis, q[k]), _plus(way_rate, axis, v[k])
+            way_rate_2 = _plus(way_rate_2, axis, a[k])
+            continue
+        linear = _carried(linear, omega, alpha, (way, way_rate, way_rate_2))
+        turn, cos, sin = next(turns), np.cos(q[k]), np.sin(q[k])
+        omega, alpha, linear = (turn(parts, cos, sin) for parts in (omega, alpha, linear))
+        alpha = _plus(_plus(alpha, joint.axis, a[k]), _cross(omega, joint.axis), v[k])
+        omega = _plus(omega, joint.axis, v[k])
+        way = way_rate = way_rate_2 = zero
+        turned = np.eye(3)
+    way = _plus(way, turned @ arm.sensor_origin_m)
+    linear = _carried(linear, omega, alpha, (way, way_rate, way_rate_2))
+    return [arm.into_sensor(parts) for parts in (omega, alpha, linear)]
+
+
+def _carried(
+    linear: Components, omega: Components, alpha: Components, way: Sequence[Components]
+) -> Components:
+    """Return the acceleration at the end of a way (3,), its rate and second rate."""
+    place, rate, rate_2 = way
+    inner = _plus(_cross(omega, place), rate, 2.0)
+    total = _plus(_plus(linear, rate_2), _cross(alpha, place))
+    return _plus(total, _cross(omega, inner))
+
+
+def _plus(parts: Components, more: Any, size: Any = 1.0) -> Components:
+    """Return parts + size more; a component that is a plain zero costs nothing."""
+    x, y, z = (
+        p if isinstance(m, float) and m == 0.0 else p + m * size
+        for p, m in zip(parts, more, strict=True)
+    )
+    return x, y, z
+
+
+def _cross(a: Any, b: Any) -> Components:
+    (ax, ay, az), (bx, by, bz) = a, b
+    return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
 
 
 class MotionOfSensor:
-    """`sensor_motion` for one moment at a time, in plain floats."""
+    """`sensor_motion` for one moment at a time, by Pinocchio."""
 
     def __init__(self, arm: Arm = GALEN) -> None:
-        self._lengths = _lengths(arm)
+        import pinocchio  # slow to import, and only inertial forces need it
+
+        model, parent = pinocchio.Model(), 0
+        for joint in arm.joints:
+            rotation = np.eye(3) if joint.rotation is None else joint.rotation
+            kind = (
+                pinocchio.JointModelRevoluteUnaligned
+                if joint.kind == "revolute"
+                else pinocchio.JointModelPrismaticUnaligned
+            )
+            placement = pinocchio.SE3(rotation, joint.origin_m)
+            parent = model.addJoint(parent, kind(joint.axis), placement, joint.name)
+        mount = pinocchio.SE3(arm.sensor_rotation, arm.sensor_origin_m)
+        sensor = pinocchio.Frame("sensor", parent, mount, pinocchio.FrameType.OP_FRAME)
+        frame = (model.addFrame(sensor), pinocchio.ReferenceFrame.LOCAL)
+        at = (model, model.createData())
+        self._move = partial(pinocchio.forwardKinematics, *at)
+        self._velocity = partial(pinocchio.getFrameVelocity, *at, *frame)
+        self._acceleration = partial(pinocchio.getFrameClassicalAcceleration, *at, *frame)
 
     def at(
-        self,
-        roll_rad: float,
-        tilt_rad: float,
-        velocities: tuple[float, ...],
-        accelerations: tuple[float, ...],
-    ) -> tuple[Vector, Vector, Vector]:
-        """As `SensorMotion`, at roll and tilt with all five joints' rates and accelerations."""
-        trigonometry = (
-            math.cos(roll_rad), math.sin(roll_rad), math.cos(tilt_rad), math.sin(tilt_rad)
-        )  # fmt: skip
-        turning = (*velocities[3:], *accelerations[3:])
-        found: tuple[Vector, Vector, Vector] = _motion(
-            self._lengths, trigonometry, accelerations[:3], turning
+        self, joints: ArrayLike, velocities: ArrayLike, accelerations: ArrayLike
+    ) -> tuple[list[float], list[float], list[float]]:
+        """As `SensorMotion` (three lists), at joints (n,) with rates and accelerations."""
+        q, v, a = (np.asarray(part, dtype=float) for part in (joints, velocities, accelerations))
+        self._move(q, v, a)
+        velocity, acceleration = self._velocity(), self._acceleration()
+        return (
+            velocity.angular.tolist(),
+            acceleration.angular.tolist(),
+            acceleration.linear.tolist(),
         )
-        return found
-
-
-def _lengths(arm: Arm) -> tuple[float, ...]:
-    c1, c2 = arm.joints[4].origin_m, arm.sensor_origin_m
-    return (*(float(v) for v in c1), *(float(v) for v in c2))
-
-
-def _motion(lengths: Any, trigonometry: Any, platform: Any, turning: Any) -> Any:
-    """Return the formulas, for floats and for arrays alike: (w, al, a), each three components."""
-    _, c1y, c1z, c2x, c2y, c2z = lengths
-    cr, sr, ct, st = trigonometry
-    dx, dy, dz = platform
-    rv, tv, ra, ta = turning
-    velocity = (-st * rv, tv + 0.0 * rv, ct * rv)
-    acceleration = (-st * ra - ct * tv * rv, ta + 0.0 * ra, ct * ra - st * tv * rv)
-    # u in the roll link's axes; its parts that turn with tilt are ex, ez.
-    ex, ez = ct * c2x + st * c2z, ct * c2z - st * c2x
-    uy, uz = c1y + c2y, c1z + ez  # u_x is along the roll axis and turns with nothing
-    # u' = t' (ez, 0, -ex); u'' = t'' (ez, 0, -ex) - t'^2 (ex, 0, ez)
-    vz = -tv * ex
-    ax = ta * ez - tv * tv * ex + dx
-    # 2 w1 x u' = 2 r' (0, -u'_z, 0); w1' x u = r'' (0, -u_z, u_y); w1 x (w1 x u) = -r'^2 (0, ...)
-    ay = -2.0 * rv * vz - ra * uz - rv * rv * uy + cr * dy + sr * dz
-    az = -ta * ex - tv * tv * ez + ra * uy - rv * rv * uz + cr * dz - sr * dy
-    # Ry(t + pi/2)^T = [[-sin t, 0, -cos t], [0, 1, 0], [cos t, 0, -sin t]]
-    return velocity, acceleration, (-st * ax - ct * az, ay, ct * ax - st * az)

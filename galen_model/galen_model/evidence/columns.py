@@ -1,6 +1,6 @@
 """How each cause changes the reading of an untouched arm, to first order.
 
-With u gravity in ft_sensor and W = (f, tau) the reading of tool and adapter, a cause adds X w:
+With u gravity in the sensor and W = (f, tau) the reading of tool and adapter, a cause adds X w:
 
     another load           G(u) d      d: mass and first moment, true less file's       (4)
     an offset              b           of the sensor's zero                             (6)
@@ -8,14 +8,13 @@ With u gravity in ft_sensor and W = (f, tau) the reading of tool and adapter, a 
     a loose tool           tau = s m (a x u), a the x and y parts of u / |u|, s: shift  (1)
     joints' zeros          dW/dq_k                                                      (k)
     a turned sensor        -phi x f, -phi x tau, phi its rotation vector                (3)
-    a constant pull        R^T F at the tool's tip, F in base_link, as of a cable       (3)
+    a constant pull        R^T F at the tool's tip, F in the base, as of a cable        (3)
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
 from galen_model.load.model import gravity_regressor, gravity_wrench
@@ -62,7 +61,7 @@ def joint_zeros(angles: Array, tool: CalibrationFile) -> Array:
 
 def constant_pull(angles: Array, tool: CalibrationFile) -> Array:
     """Return (n, 6, 3) by a newton at the tip, at angles (n, k) in rad."""
-    to_sensor = np.swapaxes(GALEN.rotation(angles), 1, 2)
+    to_sensor = np.swapaxes(tool.arm.rotation(angles), 1, 2)
     return np.concatenate([to_sensor, skew(tool.tip_m) @ to_sensor], axis=1)
 
 

@@ -32,6 +32,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
+from scipy.sparse import csc_array
 from scipy.special import logsumexp
 
 from galen_model.arrays import Array
@@ -150,15 +151,15 @@ def factor(gram: Array) -> tuple[Array, bool]:
 
 
 class Background:
-    """N with its prior: what is fitted beside every hypothesis."""
+    """N with its prior: what is fitted beside every hypothesis, in blocks of columns."""
 
     def __init__(self, columns: Array, prior_std: Array) -> None:
         """Of columns (N, n), prior_std (n,), infinite for none."""
-        self._set(columns, prior_std, columns.T @ columns)
         self._base: Background | None = None
+        self._set(columns, prior_std, columns.T @ columns)
 
-    def _set(self, columns: Array, prior_std: Array, products: Array) -> None:
-        self.columns = columns
+    def _set(self, block: Array | csc_array, prior_std: Array, products: Array) -> None:
+        self._block = block
         self.prior_std = prior_std
         self.precision = np.where(np.isfinite(prior_std), 1.0 / prior_std**2, 0.0)
         self._products = products
@@ -167,59 +168,114 @@ class Background:
         silent = np.diag(gram) <= 0.0
         gram[silent, silent] = 1.0
         self._factor = factor(gram)
-        self._remembered: dict[int, tuple[Array, Array, Array]] = {}
+        self._remembered: tuple[Array, Array] | None = None
+        self._asked: tuple[Array, Array] | None = None
 
-    def with_free(self, more: Array) -> Background:
-        """Add columns (N, m) without a prior; what is remembered counts there as well."""
-        cross = self.columns.T @ more
+    @property
+    def columns(self) -> Array:
+        """N (N, n), of a background without sparse columns."""
+        assert isinstance(self._block, np.ndarray)
+        if self._base is None:
+            return self._block
+        return np.concatenate([self._base.columns, self._block], axis=1)
+
+    def beside(self, more: Array | csc_array, prior_std: float = np.inf) -> Background:
+        """Add columns (N, m), without a prior or with one; what is remembered counts there, too."""
+        return self._with(more, np.full(more.shape[1], prior_std))
+
+    def _with(self, more: Array | csc_array, prior_std: Array) -> Background:
+        if not more.shape[1]:
+            return self
+        cross, own = self.dot(more), more.T @ more
+        own = own if isinstance(own, np.ndarray) else own.toarray()
         extended = Background.__new__(Background)
-        extended._set(
-            np.concatenate([self.columns, more], axis=1),
-            np.concatenate([self.prior_std, np.full(more.shape[1], np.inf)]),
-            np.block([[self._products, cross], [cross.T, more.T @ more]]),
-        )
         extended._base = self
+        extended._set(
+            more,
+            np.concatenate([self.prior_std, prior_std]),
+            np.block([[self._products, cross], [cross.T, own]]),
+        )
         return extended
 
-    def remember(self, columns: Array) -> None:
-        """Keep the products of columns (N, p), this very array, that will be asked for often."""
-        products = self.columns.T @ columns, columns.T @ columns
-        self._remembered[id(columns)] = (columns, *products)
+    def averaged(self, means: csc_array) -> Background:
+        """Return the background of rows M r (C,) for rows r (N,); means: M (C, N)."""
+        block = means @ self._block
+        if self._base is None:
+            return Background(block, self.prior_std)
+        return self._base.averaged(means)._with(block, self.prior_std[len(self._base.prior_std) :])
 
-    def _products_with(self, columns: Array) -> tuple[Array, Array]:
-        """N^T T (n, p) and T^T T (p, p)."""
-        known = self._remembered.get(id(columns))
-        if known is not None:
-            return known[1], known[2]
-        if self._base is not None and id(columns) in self._base._remembered:
-            cross, gram = self._base._products_with(columns)
-            more = self.columns[:, len(cross) :]
-            return np.concatenate([cross, more.T @ columns]), gram
-        return self.columns.T @ columns, columns.T @ columns
+    def dot(self, values: Array | csc_array) -> Array:
+        """Tell N^T v (n,) or (n, k) of values (N,) or (N, k)."""
+        if self._remembered is not None and self._remembered[0] is values:
+            return self._remembered[1]
+        if isinstance(values, np.ndarray):
+            own = self._block.T @ values
+        else:
+            own = (values.T @ self._block).T
+            own = own if isinstance(own, np.ndarray) else own.toarray()
+        return own if self._base is None else np.concatenate([self._base.dot(values), own])
+
+    def times(self, nu: Array) -> Array:
+        """Tell N nu (N,) or (N, k) of nu (n,) or (n, k)."""
+        if self._base is None:
+            return np.asarray(self._block @ nu)
+        first = len(self._base.prior_std)
+        return np.asarray(self._base.times(nu[:first]) + self._block @ nu[first:])
+
+    def remember(self, values: Array) -> None:
+        """Keep the product with values (N, k), this very array, that will be asked for often."""
+        self._remembered = values, self.dot(values)
 
     def solve(self, projections: Array) -> Array:
         """(N^T N + prior)^-1 of N^T times something, (n, ...)."""
         return np.asarray(cho_solve(self._factor, projections))
 
     def fit(self, rows: Array) -> Array:
-        """Fit nu (n,) of rows (N,)."""
-        return self.solve(self.columns.T @ rows)
+        """Fit nu (n,) of rows (N,), or (n, k) of (N, k)."""
+        return self.solve(self.dot(rows))
+
+    def left(self, rows: Array) -> Array:
+        """Return rows (N,) or (N, k) less what is fitted to them."""
+        return np.asarray(rows - self.times(self.fit(rows)))
 
     def penalty(self, nu: Array) -> float:
         """Return what the prior adds to the sum of squares."""
         return float(self.precision @ nu**2)
 
     def sum_of_squares(self, rows: Array) -> float:
-        """Tell r^T P r with the prior's share: rows (N,) after the fit."""
-        projected = self.columns.T @ rows
+        """Tell r^T P r with the prior's share: of rows (N,), which may not be changed later."""
+        projected = self.along(rows)
         return float(rows @ rows - projected @ self.solve(projected))
 
-    def reduced(self, columns: Array, rows: Array) -> tuple[Array, Array]:
-        """G = T^T P T (p, p) and b = T^T P r (p,)."""
-        cross, products = self._products_with(columns)
+    def projected(self, columns: Array) -> Projected:
+        """Return what does not depend on the rows of columns (N, p) beside this background."""
+        cross = self.dot(columns)
         back = self.solve(cross)
-        gram = products - cross.T @ back
-        return gram, columns.T @ rows - back.T @ (self.columns.T @ rows)
+        return Projected(self, columns, back, columns.T @ columns - cross.T @ back)
+
+    def reduced(self, columns: Array, rows: Array) -> tuple[Array, Array]:
+        """G = T^T P T (p, p) and b = T^T P r (p,); rows (N,) may not be changed later."""
+        projected = self.projected(columns)
+        return projected.gram, projected.along(rows)
+
+    def along(self, rows: Array) -> Array:
+        """Tell N^T r (n,), kept for the next call; rows (N,) may not be changed later."""
+        if self._asked is None or self._asked[0] is not rows:
+            self._asked = rows, self.dot(rows)
+        return self._asked[1]
+
+
+class Projected(NamedTuple):
+    """Columns T (N, p) beside a background: (N^T N + prior)^-1 N^T T and G = T^T P T (p, p)."""
+
+    behind: Background
+    columns: Array
+    back: Array
+    gram: Array
+
+    def along(self, rows: Array) -> Array:
+        """Return b = T^T P r (p,); rows (N,) may not be changed later."""
+        return np.asarray(self.columns.T @ rows - self.back.T @ self.behind.along(rows))
 
 
 def evidence(gram: Array, projection: Array, typical: Array) -> Evidence:

@@ -4,23 +4,20 @@ The old file is kept as `<tool>.json.bak`, see `galen_model.files.atomic_file`. 
 (`bias` for the adapter, `bias_pose_rad` for the zeroing, always the Galen's) are read as well.
 """
 
-import hashlib
 import json
 import os
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN, GRAVITY_M_S2, SENSOR_FRAME
-from galen_model.arm.urdf import galen_urdf
+from galen_model.arm.arm import GRAVITY_RANGE_M_S2, Arm
+from galen_model.arm.galen import GALEN, GRAVITY_M_S2
 from galen_model.arrays import Array
 from galen_model.errors import CalibrationFileError, ToolNameError
 from galen_model.files.atomic_file import write_whole
@@ -39,6 +36,7 @@ from galen_model.files.json_fields import (
     numbers,
     parse_json,
     read_limited,
+    sentence,
     text,
     texts,
 )
@@ -49,8 +47,12 @@ from galen_model.load.mounting.mounting import Mounting
 
 SCHEMA_VERSION = 2
 GRAVITY_TOLERANCE_M_S2 = 1e-3
+GRAVITY_TOLERANCE_RAD = 1e-4
+ZEROING_TOLERANCE_RAD = 0.02
+"""Between gravity at the zeroing as the file has it and as the arm's geometry gives it."""
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
 MAX_FILE_BYTES = 1_000_000
+_MODEL_KEYS = ("model", "model_reason")
 _AGES = ((86400.0, "day"), (3600.0, "hour"), (60.0, "minute"))
 
 
@@ -87,12 +89,9 @@ class ArmIdentity:
     urdf_sha256: str
 
 
-@cache
-def galen_identity() -> ArmIdentity:
-    """Return the identity of the Galen."""
-    return ArmIdentity(
-        GALEN.name, GALEN.joint_names, hashlib.sha256(galen_urdf().encode()).hexdigest()
-    )
+def identity(arm: Arm) -> ArmIdentity:
+    """Return what a calibration file keeps of an arm."""
+    return ArmIdentity(arm.name, arm.joint_names, arm.urdf_sha256)
 
 
 @dataclass(frozen=True)
@@ -112,7 +111,10 @@ def zeroed_at(angles: ArrayLike | None = None, arm: Arm = GALEN) -> ZeroingPose:
 
 @dataclass(frozen=True)
 class CalibrationFile:
-    """What a calibration found. Offsets, rmse: (6,), N and N.m in ft_sensor; tip_m: (3,)."""
+    """What a calibration found. Offsets, rmse: (6,), N and N.m in the sensor's frame; tip_m: (3,).
+
+    arm: the one that it is used on; gravity_m_s2: (3,) in the arm's base frame.
+    """
 
     tool: str
     load: LoadEstimate
@@ -122,19 +124,28 @@ class CalibrationFile:
     poses_used: int
     calibrated_at: str
     residual_offset: Array = field(default_factory=lambda: np.zeros(6))
+    arm: Arm = field(default=GALEN, repr=False, compare=False)
     zeroing: ZeroingPose | None = field(default_factory=lambda: zeroed_at())
     """Where the sensor was zeroed with the adapter alone; None: not so, or not known."""
     poses_rejected: tuple[str, ...] = ()
-    sensor_frame: str = SENSOR_FRAME
     gravity_m_s2: Array = field(default_factory=lambda: GRAVITY_M_S2.copy())
-    arm: ArmIdentity = field(default_factory=galen_identity)
+    made_on: ArmIdentity | None = None
+    """The arm of the calibration; None: `arm`."""
     unresolved: tuple[str, ...] = ()
     """What the calibration could not tell (one sweep); empty after two sweeps."""
+    model: str = ""
+    model_reason: str = ""
+    """By which model the load was identified, and why; empty in files from before."""
     inertia: InertiaEstimate | None = None
     """Of tool and adapter together, where a recording of motion told it."""
     mounting: Mounting | None = None
     cable: LearnedPull | None = None
     """What a cable at the tool pulls beside the load, where a sweep with the cable on told it."""
+
+    @property
+    def sensor_frame(self) -> str:
+        """Frame of the wrenches, the load and the tip."""
+        return self.arm.sensor_frame
 
     def predict(self, angles: ArrayLike) -> Array:
         """Return reading (..., 6) expected at angles (..., k) without contact, N and N.m.
@@ -149,8 +160,8 @@ class CalibrationFile:
     def gravity_in_sensor(self, angles: ArrayLike) -> Array:
         """Gravity (..., 3) in the sensor at reported angles (..., k), m/s^2: the file's."""
         if self.mounting is None:
-            return GALEN.gravity_in_sensor(angles) * self._gravity_scale
-        return self.mounting.gravity_in_sensor(angles) * self._gravity_scale
+            return self.arm.gravity_in_sensor(angles) * self._gravity_scale
+        return self.mounting.gravity_in_sensor(angles, self.arm) * self._gravity_scale
 
     def predict_under(self, gravity_sensor: ArrayLike) -> Array:
         """As `predict`, from the true gravity (..., 3) in ft_sensor, m/s^2."""
@@ -167,7 +178,7 @@ class CalibrationFile:
     def zero_angles(self) -> Array:
         """Angles (k,) of the zeroing, rad; home where the file does not hold them."""
         joints = {} if self.zeroing is None else self.zeroing.joints
-        names, home = GALEN.turning_names, GALEN.home_angles
+        names, home = self.arm.turning_names, self.arm.home_angles
         return np.array([joints.get(name, at) for name, at in zip(names, home, strict=True)])
 
     @property
@@ -182,39 +193,37 @@ class CalibrationFile:
     @property
     def arm_warning(self) -> str:
         """A sentence where the file was made on another URDF of this arm, else empty."""
-        here = galen_identity()
-        if self.arm.urdf_sha256 == here.urdf_sha256:
+        made, here = self.made_on, self.arm.urdf_sha256
+        if made is None or made.urdf_sha256 == here:
             return ""
         return (
             f"the calibration of '{self.tool}' was made with another URDF of the arm"
-            f" '{here.name}' ({self.arm.urdf_sha256[:12]}, here {here.urdf_sha256[:12]}):"
+            f" '{self.arm.name}' ({made.urdf_sha256[:12]}, here {here[:12]}):"
             " calibrate again if the geometry differs"
         )
 
     @property
     def parts(self) -> tuple[str, ...]:
         """Names of the optional parts that were estimated, as the file's keys."""
-        return tuple(
-            part.name
-            for part in fields(self)
-            if part.default is None and getattr(self, part.name) is not None
-        )
+        names = ("inertia", "mounting", "cable")
+        return tuple(name for name in names if getattr(self, name) is not None)
 
     @property
     def _gravity_scale(self) -> float:
-        """The file's gravity over the suite's; another place on earth has another."""
-        return float(self.gravity_m_s2[2] / GRAVITY_M_S2[2])
+        """The file's gravity over the arm's; another place on earth has another."""
+        return float(np.linalg.norm(self.gravity_m_s2) / np.linalg.norm(self.arm.gravity_m_s2))
 
     def to_json(self) -> dict[str, Any]:
         """Return the file's content."""
+        made = self.made_on or identity(self.arm)
         content: dict[str, Any] = {
             "schema_version": SCHEMA_VERSION,
             "tool": self.tool,
             "sensor_frame": self.sensor_frame,
             "arm": {
-                "name": self.arm.name,
-                "joints": list(self.arm.joints),
-                "urdf_sha256": self.arm.urdf_sha256,
+                "name": made.name,
+                "joints": list(made.joints),
+                "urdf_sha256": made.urdf_sha256,
             },
             "gravity_m_s2": numbers(self.gravity_m_s2),
             "zeroing": None
@@ -234,6 +243,7 @@ class CalibrationFile:
         }
         if self.unresolved:
             content["unresolved"] = list(self.unresolved)
+        content |= {key: words for key in _MODEL_KEYS if (words := getattr(self, key))}
         if self.inertia is not None:
             content["inertia"] = self.inertia.to_json()
         if self.mounting is not None:
@@ -261,25 +271,28 @@ def calibration_path(tools_dir: str | os.PathLike[str], tool: str) -> Path:
     return Path(tools_dir).expanduser() / f"{check_tool_name(tool)}.json"
 
 
-def read_calibration(path: str | os.PathLike[str]) -> CalibrationFile:
-    """Read and check a calibration file.
+def read_calibration(path: str | os.PathLike[str], arm: Arm = GALEN) -> CalibrationFile:
+    """Read and check a calibration file, to use it on `arm`.
 
     Raises CalibrationFileError that names the file and the field; where the file itself can't be
     read, its cause is the OSError.
     """
     path = Path(path)
     try:
-        return parse_calibration(path, read_limited(path, MAX_FILE_BYTES, "a calibration file"))
+        raw = read_limited(path, MAX_FILE_BYTES, "a calibration file")
+        return parse_calibration(path, raw, arm)
     except OSError as error:
         raise CalibrationFileError(f"{path}: can't be read: {error.strerror}") from error
     except FieldError as error:
         raise CalibrationFileError(f"{path}: {error}") from error
 
 
-def parse_calibration(path: str | os.PathLike[str], raw: bytes) -> CalibrationFile:
+def parse_calibration(
+    path: str | os.PathLike[str], raw: bytes, arm: Arm = GALEN
+) -> CalibrationFile:
     """Check the bytes of a calibration file; `path` is for the error that it raises."""
     try:
-        return _from_json(parse_json(raw))
+        return _from_json(parse_json(raw), arm)
     except (FieldError, ToolNameError, RecursionError) as error:
         raise CalibrationFileError(f"{path}: {error}") from error
 
@@ -292,7 +305,8 @@ def write_calibration(path: str | os.PathLike[str], tool: CalibrationFile) -> No
     path = Path(path)
     try:
         content = tool.to_json()
-        _from_json(json.loads(json.dumps(content)))  # what can't be read must not be written
+        # What can't be read must not be written.
+        _from_json(json.loads(json.dumps(content)), tool.arm)
         content_text = json.dumps(content, indent=2, allow_nan=False) + "\n"
     except (ValueError, FieldError, ToolNameError) as error:
         raise CalibrationFileError(f"{path}: not written: {error}") from error
@@ -327,16 +341,20 @@ def _wrench_to_json(wrench: Array) -> dict[str, Any]:
     return {"force_N": numbers(wrench[:3]), "torque_Nm": numbers(wrench[3:])}
 
 
-def _from_json(content: Any) -> CalibrationFile:
+def _from_json(content: Any, arm: Arm) -> CalibrationFile:
     whole = mapping(content, "the file")
     check_kind(whole, CALIBRATION_FILE)
     if whole.get("schema_version") == 1:
         whole = _from_schema_1(whole)
     check_version(whole, SCHEMA_VERSION)
-    arm = _arm(get(whole, "arm"))
-    gravity = array(get(whole, "gravity_m_s2"), "gravity_m_s2", (3,))
-    if gravity[0] != 0.0 or gravity[1] != 0.0 or not 9.7 < -gravity[2] < 9.9:
-        raise FieldError(f"gravity_m_s2 is {gravity.tolist()}; expected (0, 0, about -9.8)")
+    made = _made_on(get(whole, "arm"), arm)
+    gravity = _gravity(get(whole, "gravity_m_s2"), arm)
+    frame = text(get(whole, "sensor_frame"), "sensor_frame")
+    if frame != arm.sensor_frame:
+        raise FieldError(
+            f"sensor_frame is '{frame}', but this arm's is '{arm.sensor_frame}': calibrate the tool"
+            " with it, or correct the parameter sensor_frame"
+        )
     file = CalibrationFile(
         tool=check_tool_name(text(get(whole, "tool"), "tool")),
         load=_load(get(whole, "load"), "load"),
@@ -346,20 +364,23 @@ def _from_json(content: Any) -> CalibrationFile:
         poses_used=count(get(whole, "poses_used"), "poses_used"),
         calibrated_at=_time(get(whole, "calibrated_at")),
         residual_offset=_wrench(get(whole, "residual_offset"), "residual_offset"),
+        arm=arm,
         zeroing=_zeroing(get(whole, "zeroing"), arm, float(np.linalg.norm(gravity))),
         poses_rejected=texts(get(whole, "poses_rejected"), "poses_rejected"),
-        sensor_frame=text(get(whole, "sensor_frame"), "sensor_frame"),
         gravity_m_s2=gravity,
-        arm=arm,
+        made_on=made,
         unresolved=texts(whole.get("unresolved", []), "unresolved"),
+        **{key: sentence(whole[key], key) for key in _MODEL_KEYS if key in whole},
         inertia=InertiaEstimate.from_json(whole["inertia"], "inertia")
         if "inertia" in whole
         else None,
-        mounting=Mounting.from_json(whole["mounting"], "mounting") if "mounting" in whole else None,
-        cable=LearnedPull.from_json(whole["cable"], "cable") if "cable" in whole else None,
+        mounting=Mounting.from_json(whole["mounting"], "mounting", arm)
+        if "mounting" in whole
+        else None,
+        cable=LearnedPull.from_json(whole["cable"], "cable", arm) if "cable" in whole else None,
     )
     if file.mounting is not None and file.zeroing is not None:
-        lacking = set(GALEN.turning_names) - file.zeroing.joints.keys()
+        lacking = set(arm.turning_names) - file.zeroing.joints.keys()
         if lacking:
             raise FieldError(
                 f"zeroing.joints lacks {', '.join(sorted(lacking))}: mounting needs it"
@@ -373,7 +394,7 @@ def _from_schema_1(whole: Mapping[str, Any]) -> Mapping[str, Any]:
     zero = [number(get(pose, name), f"bias_pose_rad.{name}") for name in GALEN.turning_names]
     gravity = array(get(whole, "gravity_m_s2"), "gravity_m_s2", (3,))
     _load(get(whole, "bias"), "bias", none_allowed=True)
-    galen = galen_identity()
+    galen = identity(GALEN)
     at_zero = GALEN.gravity_in_sensor(zero) * float(gravity[2] / GRAVITY_M_S2[2])
     kept = {key: value for key, value in whole.items() if key not in ("bias", "bias_pose_rad")}
     return {
@@ -390,28 +411,47 @@ def _from_schema_1(whole: Mapping[str, Any]) -> Mapping[str, Any]:
     }  # fmt: skip
 
 
-def _arm(value: Any) -> ArmIdentity:
+def _made_on(value: Any, here: Arm) -> ArmIdentity:
     """Read `arm`; another arm than this one is rejected with both names."""
-    whole, here = mapping(value, "arm"), galen_identity()
+    whole = mapping(value, "arm")
     joints = tuple(text(name, "arm.joints") for name in items(get(whole, "joints"), "arm.joints"))
     name = text(get(whole, "name"), "arm.name")
-    if joints != here.joints:
+    if joints != here.joint_names:
         raise FieldError(
             f"made on the arm '{name}' with the joints {', '.join(joints) or 'none'}; this arm is"
-            f" '{here.name}' with {', '.join(here.joints)}: calibrate the tool on it"
+            f" '{here.name}' with {', '.join(here.joint_names)}: calibrate the tool on it"
         )
     return ArmIdentity(name, joints, text(get(whole, "urdf_sha256"), "arm.urdf_sha256"))
 
 
-def _zeroing(value: Any, arm: ArmIdentity, gravity_m_s2: float) -> ZeroingPose | None:
+def _gravity(value: Any, here: Arm) -> Array:
+    """Read `gravity_m_s2`, which points as the arm's: a base elsewhere turns every reading."""
+    gravity = array(value, "gravity_m_s2", (3,))
+    size = float(np.linalg.norm(gravity))
+    lowest, highest = GRAVITY_RANGE_M_S2
+    if not lowest <= size <= highest:
+        raise FieldError(
+            f"gravity_m_s2 is {gravity.tolist()}, {size:g} m/s^2 long; expected {lowest} to"
+            f" {highest}"
+        )
+    down = here.gravity_m_s2 / np.linalg.norm(here.gravity_m_s2)
+    if not np.linalg.norm(gravity / size - down) <= GRAVITY_TOLERANCE_RAD:
+        raise FieldError(
+            f"gravity_m_s2 is {gravity.tolist()}, but this arm's is {here.gravity_m_s2.tolist()}:"
+            " correct the parameter gravity_m_s2, or calibrate the tool anew"
+        )
+    return gravity
+
+
+def _zeroing(value: Any, arm: Arm, gravity_m_s2: float) -> ZeroingPose | None:
     if value is None:
         return None
     whole = mapping(value, "zeroing")
     joints = mapping(get(whole, "joints"), "zeroing.joints")
-    unknown = sorted(set(joints) - set(arm.joints))
+    unknown = sorted(set(joints) - set(arm.joint_names))
     if unknown:
         raise FieldError(
-            f"zeroing.joints holds {unknown[0]!r:.40}; joints are {', '.join(arm.joints)}"
+            f"zeroing.joints holds {unknown[0]!r:.40}; joints are {', '.join(arm.joint_names)}"
         )
     name = "zeroing.gravity_in_sensor_m_s2"
     gravity = array(get(whole, "gravity_in_sensor_m_s2"), name, (3,))
@@ -420,10 +460,19 @@ def _zeroing(value: Any, arm: ArmIdentity, gravity_m_s2: float) -> ZeroingPose |
         raise FieldError(
             f"{name} is {size:g} m/s^2 long; expected {gravity_m_s2:g} as gravity_m_s2"
         )
-    return ZeroingPose(
-        {joint: number(angle, f"zeroing.joints.{joint}") for joint, angle in joints.items()},
-        gravity,
-    )
+    at = {joint: number(angle, f"zeroing.joints.{joint}") for joint, angle in joints.items()}
+    if at.keys() >= set(arm.turning_names):
+        expected = arm.gravity_in_sensor([at[joint] for joint in arm.turning_names])
+        cosine = gravity @ expected / size / np.linalg.norm(expected)
+        angle = float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+        if angle > ZEROING_TOLERANCE_RAD:
+            raise FieldError(
+                f"{name} is {gravity.round(3).tolist()}, {angle:.3f} rad off what the arm"
+                f" '{arm.name}' has at zeroing.joints, {expected.round(3).tolist()}; at most"
+                f" {ZEROING_TOLERANCE_RAD:g} rad: correct base_frame, gravity_m_s2 or the robot"
+                " description, or calibrate the tool again"
+            )
+    return ZeroingPose(at, gravity)
 
 
 def _wrench(value: Any, name: str) -> Array:

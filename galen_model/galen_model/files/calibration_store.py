@@ -23,6 +23,8 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
 
+from galen_model.arm.arm import Arm
+from galen_model.arm.galen import GALEN
 from galen_model.errors import CalibrationFileError, GalenError, ToolNameError
 from galen_model.files.atomic_file import (
     exchange,
@@ -97,8 +99,10 @@ class Entry:
 class CalibrationStore:
     """One directory of calibration files; it need not exist, and then has no tools."""
 
-    def __init__(self, tools_dir: str | os.PathLike[str]) -> None:
+    def __init__(self, tools_dir: str | os.PathLike[str], arm: Arm = GALEN) -> None:
+        """`arm`: the one that the tools are used on; another's files are not read."""
         self.directory = Path(tools_dir).expanduser()
+        self.arm = arm
 
     def read(self, name: str) -> StoredCalibration:
         """Read and check a calibration file, and that it holds the tool of this name.
@@ -106,7 +110,7 @@ class CalibrationStore:
         Raises ToolNameError, or CalibrationFileError that names the file; where there is none, its
         cause is a FileNotFoundError.
         """
-        return _stored(self._checked(name), name)
+        return _stored(self._checked(name), name, self.arm)
 
     def previous(self, name: str) -> StoredCalibration:
         """Read and check the calibration before a tool's present one, as `read` does."""
@@ -115,7 +119,7 @@ class CalibrationStore:
             raise CalibrationFileError(
                 f"{backup}: no calibration of '{name}' before its present one is kept"
             ) from FileNotFoundError()
-        return _stored(backup, name)
+        return _stored(backup, name, self.arm)
 
     def has_previous(self, name: str) -> bool:
         """Whether `revert` would bring a calibration back. Raises ToolNameError."""
@@ -162,7 +166,7 @@ class CalibrationStore:
             if backup.exists():
                 if os.path.lexists(new_backup):
                     _set_aside(new_path, (new_backup,))  # left by a tool that is gone
-                write_new(new_backup, _named_backup(backup, new_name))
+                write_new(new_backup, _named_backup(backup, new_name, self.arm))
                 made.append(new_backup)
             # A calibration may have been written meanwhile.
             unlink_if(old.path, lambda path: replace(old, path=path).as_loaded)
@@ -300,9 +304,9 @@ class CalibrationStore:
             raise ToolExistsError(f"{new_path}: is there already; a tool is never overwritten")
 
 
-def _stored(path: Path, name: str) -> StoredCalibration:
+def _stored(path: Path, name: str, arm: Arm) -> StoredCalibration:
     raw = _read(path)
-    tool = parse_calibration(path, raw)
+    tool = parse_calibration(path, raw, arm)
     if tool.tool != name:
         raise CalibrationFileError(f"{path}: holds the tool '{tool.tool}', not '{name}'")
     return StoredCalibration(path, tool, _digest(raw), _text(raw))
@@ -319,11 +323,11 @@ def _backup(path: Path) -> Path:
     return path.with_name(path.name + _BACKUP)
 
 
-def _named_backup(backup: Path, name: str) -> bytes | str:
+def _named_backup(backup: Path, name: str, arm: Arm) -> bytes | str:
     """Return the backup with another name inside; one that can't be read stays as it is."""
     raw = _read(backup)
     try:
-        parse_calibration(backup, raw)
+        parse_calibration(backup, raw, arm)
     except CalibrationFileError:
         return raw
     return _named(_text(raw), name)

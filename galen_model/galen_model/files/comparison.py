@@ -14,16 +14,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from galen_model.arm.galen import GALEN, WRENCH_AXES
+from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_ppf
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
+from galen_model.poses.design import angle_limits
 
 _CONFIDENCE = 0.95
 _SAME_SIGMAS = 2.0
 # Steps of 0.05 rad: between two of them a component of gravity changes by 0.03 % of g more.
 _GRID = (64, 41)
+_SAMPLES = 4096
 _SHOWN = {"kg": (1e3, "g"), "m": (1e3, "mm"), "N": (1e3, "mN"), "N.m": (1e3, "mN.m")}
 # In units of the standard deviations: directions that both covariances call exactly known.
 _RIDGE = 1e-9
@@ -120,11 +122,8 @@ def compare_calibrations(
 ) -> CalibrationComparison:
     """Compare two files; `names`: as they are called here. Raises IncomparableError."""
     name_a, name_b = names or (a.tool, b.tool)
-    if a.sensor_frame != b.sensor_frame:
-        raise IncomparableError(
-            f"'{name_a}' is in the frame '{a.sensor_frame}' and '{name_b}' in '{b.sensor_frame}':"
-            " they can't be compared"
-        )
+    if why := a.arm.difference(b.arm):
+        raise IncomparableError(f"'{name_a}' and '{name_b}' are of two arms: {why}")
     differences = [
         *_load_differences("", a.load, b.load),
         *_load_differences("adapter_", a.adapter, b.adapter),
@@ -171,10 +170,13 @@ def _load_differences(prefix: str, a: LoadEstimate, b: LoadEstimate) -> list[Dif
 
 
 def _worst(a: CalibrationFile, b: CalibrationFile) -> list[tuple[float, Array]]:
-    """Over angles on a grid within the arm's limits, of weight and offsets."""
-    limits = zip(GALEN.angles(GALEN.lower), GALEN.angles(GALEN.upper), _GRID, strict=True)
-    grid = np.meshgrid(*(np.linspace(*limit) for limit in limits), indexing="ij")
-    angles = np.stack(grid, axis=-1)
+    """Over angles within the arm's limits, of weight and offsets: a grid of two, else samples."""
+    lower, upper = angle_limits(a.arm)
+    if len(lower) == len(_GRID):
+        axes = (np.linspace(*limit) for limit in zip(lower, upper, _GRID, strict=True))
+        angles = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    else:
+        angles = np.random.default_rng(0).uniform(lower, upper, (_SAMPLES, len(lower)))
     difference = b.predict(angles) - a.predict(angles)
     worst = []
     for part in (slice(0, 3), slice(3, 6)):

@@ -15,6 +15,8 @@ from galen_model.arrays import Array
 LARGEST = 1e6
 """No SI number of this arm or its tools comes near it; a larger one would overflow in a product."""
 
+LONGEST_SENTENCE = 1000
+
 CALIBRATION_FILE = "a tool's calibration file (`calibrate` writes it)"
 DEFLECTION_MODEL = "a deflection model (`train` writes it)"
 _MARKS = {
@@ -105,6 +107,15 @@ def text(value: Any, name: str) -> str:
     return value
 
 
+def sentence(value: Any, name: str) -> str:
+    """Return one line of at most LONGEST_SENTENCE printable characters; it may be empty."""
+    if not isinstance(value, str) or not value[:LONGEST_SENTENCE].isprintable():
+        raise FieldError(f"{name} is {value!r:.80}; expected one line of printable characters")
+    if len(value) > LONGEST_SENTENCE:
+        raise FieldError(f"{name} has {len(value)} characters; at most {LONGEST_SENTENCE}")
+    return value
+
+
 def texts(value: Any, name: str) -> tuple[str, ...]:
     """Return a list of texts."""
     return tuple(str(item) for item in items(value, name))
@@ -124,11 +135,11 @@ def count(value: Any, name: str) -> int:
     return value
 
 
-def number(value: Any, name: str) -> float:
-    """Return a finite number of at most LARGEST."""
+def number(value: Any, name: str, largest: float = LARGEST) -> float:
+    """Return a finite number of at most the largest."""
     # The comparison, unlike float(), takes integers of any size; NaN fails it.
-    if not _is_number(value) or not abs(value) <= LARGEST:
-        raise FieldError(f"{name} is {value!r:.40}; expected a finite number up to {LARGEST:g}")
+    if not _is_number(value) or not abs(value) <= largest:
+        raise FieldError(f"{name} is {value!r:.40}; expected a finite number up to {largest:g}")
     return float(value)
 
 

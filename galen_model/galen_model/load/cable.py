@@ -41,6 +41,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import cho_factor, cho_solve
 
+from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.files.json_fields import (
@@ -63,14 +64,14 @@ def groups(form: str) -> int:
     return 1 if form == "point" else 2
 
 
-def form_matrices(form: str, joints: ArrayLike, attachment_m: ArrayLike) -> Array:
-    """B (groups, n, 6, 3) at joints (n, 5); attachment (3,) in ft_sensor, m."""
+def form_matrices(form: str, joints: ArrayLike, attachment_m: ArrayLike, arm: Arm = GALEN) -> Array:
+    """B (groups, n, 6, 3) at the arm's joints (n, d); attachment (3,) in the sensor, m."""
     q = np.asarray(joints, dtype=float)
     matrices = np.zeros((groups(form), len(q), 6, 3))
     if form == "free":
         matrices[0, :, :3] = matrices[1, :, 3:] = np.eye(3)
         return matrices
-    turned = np.swapaxes(GALEN.rotation(GALEN.angles(q)), -1, -2)
+    turned = np.swapaxes(arm.rotation(arm.angles(q)), -1, -2)
     matrices[0, :, :3] = turned
     matrices[0, :, 3:] = skew(np.asarray(attachment_m, dtype=float)) @ turned
     if form == "point_and_couple":
@@ -78,11 +79,11 @@ def form_matrices(form: str, joints: ArrayLike, attachment_m: ArrayLike) -> Arra
     return matrices
 
 
-def attachment_derivatives(form: str, joints: Array) -> Array:
+def attachment_derivatives(form: str, joints: Array, arm: Arm = GALEN) -> Array:
     """Return derivatives of B[0] by the attachment (3, n, 6, 3), 1/m; zeros for `free`."""
     derivatives = np.zeros((3, len(joints), 6, 3))
     if form != "free":
-        turned = np.swapaxes(GALEN.rotation(GALEN.angles(joints)), -1, -2)
+        turned = np.swapaxes(arm.rotation(arm.angles(joints)), -1, -2)
         derivatives[:, :, 3:] = skew(np.eye(3))[:, None] @ turned
     return derivatives
 
@@ -90,7 +91,7 @@ def attachment_derivatives(form: str, joints: Array) -> Array:
 MIN_POSES = 16
 MAX_POSES = 120
 SUPPORT_M = 0.10
-"""Length of s over the platform's position: whole up to 6 cm away, nothing from 13 cm on."""
+"""Length of s over prismatic joints: whole up to 6 cm away, nothing from 13 cm on."""
 SEEN, UNSEEN = 0.3, 0.8
 _CONSTANT = np.array([1.0, 0.1])
 """c of forces (N) and torques (N.m): larger than any cable on a tool that a hand can guide."""
@@ -103,10 +104,11 @@ _LARGEST_N = 20.0
 class LearnedPull:
     """What was learned: the sweep and how smooth the pull is. SI, wrenches along ft_sensor.
 
-    joints (n, 5), wrench (n, 6) beyond the calibration file, std (n, 6) of it. length_rad (2,),
-    over the angles, length_m over the platform's position. amplitude (2,): a of forces (N) and
-    of torques (N.m). attachment_m (3,): r. inflation: the covariance's standard deviations are this
-    much larger than the process says, as held-out poses asked for. held_out_rmse (6,): theirs.
+    joints (n, d) of the arm, wrench (n, 6) beyond the calibration file, std (n, 6) of it.
+    length_rad (k,), over the revolute joints, length_m over the prismatic ones. amplitude (2,): a
+    of forces (N) and of torques (N.m). attachment_m (3,): r. inflation: the covariance's standard
+    deviations are this much larger than the process says, as held-out poses asked for.
+    held_out_rmse (6,): theirs.
     """
 
     form: str
@@ -121,6 +123,7 @@ class LearnedPull:
     attachment_m: Array = field(default_factory=lambda: np.zeros(3))
     inflation: float = 1.0
     held_out_rmse: Array = field(default_factory=lambda: np.zeros(6))
+    arm: Arm = field(default=GALEN, repr=False)
 
     @cached_property
     def posterior(self) -> CablePosterior:
@@ -146,8 +149,8 @@ class LearnedPull:
         }
 
     @classmethod
-    def from_json(cls, value: Any, name: str) -> LearnedPull:
-        """From the key's content; raises FieldError that names what is wrong."""
+    def from_json(cls, value: Any, name: str, arm: Arm = GALEN) -> LearnedPull:
+        """From the key's content, for an arm; raises FieldError that names what is wrong."""
         whole = mapping(value, name)
         form = text(get(whole, "form"), f"{name}.form")
         if form not in FORMS:
@@ -179,10 +182,10 @@ class LearnedPull:
 
         drag = cls(
             form=form,
-            joints=rows("joints", 5),
+            joints=rows("joints", len(arm.joints)),
             wrench=within("poses.wrench", rows("wrench", 6), -_LARGEST_N, _LARGEST_N),
             std=within("poses.std", rows("std", 6), 1e-6, 100.0),
-            length_rad=within("length_rad", vector("length_rad", 2), 1e-2, 100.0),
+            length_rad=within("length_rad", vector("length_rad", len(arm.turning)), 1e-2, 100.0),
             length_m=one("length_m", 1e-3, 100.0),
             amplitude=within("amplitude", vector("amplitude", 2), 1e-6, 100.0),
             support_rad=one("support_rad", 1e-2, 2.0),
@@ -190,6 +193,7 @@ class LearnedPull:
             attachment_m=within("attachment_m", vector("attachment_m", 3), -2.0, 2.0),
             inflation=one("inflation", 1.0, 1e3),
             held_out_rmse=within("held_out_rmse", vector("held_out_rmse", 6), 0.0, 100.0),
+            arm=arm,
         )
         try:
             drag.posterior  # noqa: B018 - only to see whether there is one
@@ -207,10 +211,10 @@ def smooth_kernel(a: Array, b: Array, lengths: Array) -> Array:
 
 
 def prior_covariance(drag: LearnedPull, a: Array, b: Array) -> Array:
-    """Prior covariance (6 n, 6 m) of the readings at joints (n, 5) and (m, 5)."""
+    """Prior covariance (6 n, 6 m) of the readings at joints (n, d) and (m, d)."""
     kernel = smooth_kernel(a, b, _lengths(drag))
-    left = form_matrices(drag.form, a, drag.attachment_m)
-    right = form_matrices(drag.form, b, drag.attachment_m)
+    left = form_matrices(drag.form, a, drag.attachment_m, drag.arm)
+    right = form_matrices(drag.form, b, drag.attachment_m, drag.arm)
     total: Array = np.zeros((len(a), 6, len(b), 6))
     for group in range(groups(drag.form)):
         size = drag.amplitude[group] ** 2 * kernel + _CONSTANT[group] ** 2
@@ -229,7 +233,7 @@ def constant_size(group: int) -> float:
 
 
 def _lengths(drag: LearnedPull) -> Array:
-    return np.array([drag.length_m] * 3 + drag.length_rad.tolist())
+    return drag.arm.by_unit(drag.length_m, drag.length_rad)
 
 
 def support_step(missing: ArrayLike) -> Array:
@@ -250,7 +254,7 @@ class CablePosterior:
         weights = cho_solve(self._factor, drag.wrench.ravel()).reshape(-1, 6)
         if not np.all(np.isfinite(weights)):
             raise np.linalg.LinAlgError("the weights are not finite")
-        matrices = form_matrices(drag.form, drag.joints, drag.attachment_m)
+        matrices = form_matrices(drag.form, drag.joints, drag.attachment_m, drag.arm)
         # g_l(q) = a^2 sum_i k(q, q_i) b_il + c^2 sum_i b_il,   b_il = sum_k B_ikl w_ik
         parts: Array = np.einsum("gnkl,nk->gln", matrices, weights)
         size: Array = drag.amplitude[: len(parts), None, None] ** 2
@@ -260,16 +264,16 @@ class CablePosterior:
         self.constant: Array = (constant * parts.sum(axis=2)).ravel()
         """(3 groups,)."""
         self.lengths: Array = _lengths(drag)
-        """(5,) of the pull, m and rad."""
-        self.support_lengths = np.array([SUPPORT_M] * 3 + [drag.support_rad] * 2)
-        """(5,) of s."""
+        """(d,) of the pull, m and rad."""
+        self.support_lengths = drag.arm.by_unit(SUPPORT_M, drag.support_rad)
+        """(d,) of s."""
         seen = smooth_kernel(drag.joints, drag.joints, self.support_lengths)
         seen[np.diag_indices(len(seen))] += _SUPPORT_NOISE**2
         self.support: Array = np.asarray(np.linalg.inv(seen), dtype=float)
         """(n, n): s = 1 - k^T support k."""
 
     def readings(self, joints: ArrayLike) -> Array:
-        """Return the pull (n, 6) to subtract at joints (n, 5): mean times `weights`."""
+        """Return the pull (n, 6) to subtract at joints (n, d): mean times `weights`."""
         q = np.asarray(joints, dtype=float)
         return self.means(q) * self.weights(q)[:, None]
 
@@ -278,7 +282,7 @@ class CablePosterior:
         q = np.asarray(joints, dtype=float)
         kernel = smooth_kernel(q, self._drag.joints, self.lengths)
         smooth = (kernel @ self.by_pose.T + self.constant).reshape(len(q), -1, 3)
-        matrices = form_matrices(self._drag.form, q, self._drag.attachment_m)
+        matrices = form_matrices(self._drag.form, q, self._drag.attachment_m, self._drag.arm)
         return np.asarray(np.einsum("gnkl,ngl->nk", matrices, smooth))
 
     def weights(self, joints: ArrayLike) -> Array:
@@ -288,7 +292,7 @@ class CablePosterior:
         return support_step(1.0 - np.einsum("ni,ij,nj->n", kernel, self.support, kernel))
 
     def covariance(self, joints: ArrayLike) -> Array:
-        """Covariance (6, 6) of what `readings` leaves of the pull at joints (5,).
+        """Covariance (6, 6) of what `readings` leaves of the pull at joints (d,).
 
         The process' own, inflated; and, where the pull isn't taken whole, what is not taken.
         """
@@ -298,7 +302,7 @@ class CablePosterior:
         return np.asarray(own + np.outer(left, left))
 
     def process_covariance(self, joints: ArrayLike) -> Array:
-        """Covariance (6, 6) of the pull at joints (5,) given the sweep, as the process has it."""
+        """Covariance (6, 6) of the pull at joints (d,) given the sweep, as the process has it."""
         q = np.asarray(joints, dtype=float)[None]
         across = prior_covariance(self._drag, q, self._drag.joints)
         known = across @ cho_solve(self._factor, across.T)

@@ -19,12 +19,13 @@ both, block by block.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
+from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.errors import IdentificationError, NotExcitedError
@@ -45,11 +46,12 @@ from galen_model.load.cable import (
 from galen_model.load.inertia_identification import OTHER_MASS
 from galen_model.rotation import skew
 
-# Priors: mean and standard deviation of the logarithms, of length_rad (2), length_m, amplitude (2)
-# and scatter: 1 rad of the wrist, 0.15 m of the platform (half the way to an anchor nearby), some
+# Priors: mean and standard deviation of the logarithms, of length_rad (each), length_m, amplitude
+# (2) and scatter: 1 rad of a joint, 0.15 m of a platform (half the way to an anchor nearby), some
 # 0.1 N and 0.01 N.m.
-_LOG_PRIOR = np.log([1.0, 1.0, 0.15, 0.1, 0.01, 0.1])
-_LOG_WIDTH = np.array([0.7, 0.7, 0.7, 1.5, 1.5, 1.5])
+_RAD_PRIOR, _RAD_WIDTH = 0.0, 0.7
+_LOG_PRIOR = np.log([0.15, 0.1, 0.01, 0.1])
+_LOG_WIDTH = np.array([0.7, 1.5, 1.5, 1.5])
 _ATTACHMENT_WIDTH_M = 0.2
 _DUPLICATE_RAD = 0.02
 _SPACINGS = 1.5
@@ -57,7 +59,7 @@ _SPACINGS = 1.5
 
 @dataclass(frozen=True)
 class CableSweep:
-    """Still poses with the cable on: joints (n, 5), wrench (n, 6) beyond the file, N, N.m.
+    """Still poses with the cable on: joints (n, d), wrench (n, 6) beyond the file, N, N.m.
 
     std_of_mean (n, 6) of the wrench; noise (6,), the sensor's, of one reading.
     """
@@ -66,9 +68,15 @@ class CableSweep:
     wrench: Array
     std_of_mean: Array
     noise: Array
+    arm: Arm = field(default=GALEN, repr=False)
 
     def __len__(self) -> int:
         return len(self.joints)
+
+    @property
+    def angles(self) -> Array:
+        """Angles (n, k) of the arm's revolute joints, rad."""
+        return self.arm.angles(self.joints)
 
     def part(self, which: Array) -> CableSweep:
         """Return some of the poses, by mask (n,) or indices."""
@@ -77,23 +85,23 @@ class CableSweep:
             self.wrench[which],
             self.std_of_mean[which],
             self.noise,
+            self.arm,
         )
 
 
-def spacing_rad(joints: Array) -> float:
-    """How far apart the poses (n, 5) stand in their angles: most have another within it."""
-    angles = GALEN.angles(joints)
+def spacing_rad(angles: Array) -> float:
+    """How far apart the poses stand in their angles (n, k): most have another within it."""
     apart = np.linalg.norm(angles[:, None] - angles[None], axis=2)
     apart[apart < _DUPLICATE_RAD] = np.inf
     return float(np.quantile(apart.min(axis=1), 0.8))
 
 
-def spread_out(joints: Array, count: int) -> Array:
-    """Return indices (count,) of poses (n, 5): each next one farthest from the others.
+def spread_out(joints: Array, count: int, arm: Arm = GALEN) -> Array:
+    """Return indices (count,) of poses (n, d): each next one farthest from the others.
 
-    A tenth of a metre of the platform counts as much as half a radian.
+    A tenth of a metre of a prismatic joint counts as much as half a radian.
     """
-    scaled = joints / np.array([0.1, 0.1, 0.1, 0.5, 0.5])
+    scaled = joints / arm.by_unit(0.1, 0.5)
     chosen = [int(np.argmin(np.linalg.norm(scaled - scaled.mean(axis=0), axis=1)))]
     nearest = np.linalg.norm(scaled - scaled[chosen[0]], axis=1)
     while len(chosen) < min(count, len(joints)):
@@ -112,9 +120,10 @@ def fit_cable(
     Raises IdentificationError where the sweep's numbers give none.
     """
     problem = _Likelihood(sweep, form)
-    begin = np.concatenate([_LOG_PRIOR, problem.first_attachment()]) if start is None else start
+    prior, turning = problem.prior, len(sweep.arm.turning)
+    begin = np.concatenate([prior, problem.first_attachment()]) if start is None else start
     # The logarithms stay within e^-6 to e^6 of where they are plausible: beyond, exp() overflows.
-    bounds = [(centre - 6.0, centre + 6.0) for centre in _LOG_PRIOR] + [(-1.0, 1.0)] * 3
+    bounds = [(centre - 6.0, centre + 6.0) for centre in prior] + [(-1.0, 1.0)] * 3
     found = minimize(
         problem,
         begin,
@@ -125,32 +134,43 @@ def fit_cable(
     )
     if not np.isfinite(found.fun):
         raise IdentificationError("the sweep's readings give no cable's pull: they don't add up")
-    values = np.exp(found.x[:6])
-    scatter = float(values[5])
+    values = np.exp(found.x[: len(prior)])
+    scatter = float(values[-1])
     drag = LearnedPull(
         form=form,
         joints=sweep.joints,
         wrench=sweep.wrench,
         std=np.hypot(sweep.std_of_mean, scatter * sweep.noise),
-        length_rad=values[:2],
-        length_m=float(values[2]),
-        amplitude=values[3:5],
-        support_rad=float(np.clip(_SPACINGS * spacing_rad(sweep.joints), 0.1, 0.8)),
+        length_rad=values[:turning],
+        length_m=float(values[turning]),
+        amplitude=values[turning + 1 : turning + 3],
+        support_rad=float(np.clip(_SPACINGS * spacing_rad(sweep.angles), 0.1, 0.8)),
         learned_at=learned_at,
-        attachment_m=np.zeros(3) if form == "free" else found.x[6:],
+        attachment_m=np.zeros(3) if form == "free" else found.x[len(prior) :],
+        arm=sweep.arm,
     )
     return drag, scatter, found.x
 
 
 class _Likelihood:
-    """Minus the logarithm of posterior density, and its gradient, over the fit's vector (9,)."""
+    """Minus the logarithm of posterior density, and its gradient, over the fit's vector (k + 7,).
+
+    It holds the logarithms of length_rad (k), length_m, amplitude (2), scatter; the attachment (3).
+    """
 
     def __init__(self, sweep: CableSweep, form: str) -> None:
         self._sweep = sweep
         self._form = form
         joints = sweep.joints
         self._apart2 = (joints[:, None] - joints[None]) ** 2
-        self._derivatives = attachment_derivatives(form, joints)
+        self._derivatives = attachment_derivatives(form, joints, sweep.arm)
+        turning = len(sweep.arm.turning)
+        self.prior = np.concatenate([np.full(turning, _RAD_PRIOR), _LOG_PRIOR])
+        """Means of the logarithms (k + 4,)."""
+        self._width = np.concatenate(
+            [np.full(turning, _RAD_WIDTH), _LOG_WIDTH, np.full(3, _ATTACHMENT_WIDTH_M)]
+        )
+        self._mean = np.concatenate([self.prior, np.zeros(3)])
 
     def first_attachment(self) -> Array:
         """Return the point r (3,) for which r x f comes nearest to the torques."""
@@ -164,20 +184,21 @@ class _Likelihood:
         return np.clip(np.linalg.solve(normal + ridge, lever.T @ torque.ravel()), -0.9, 0.9)
 
     def __call__(self, vector: Array) -> tuple[float, Array]:
-        sweep, form = self._sweep, self._form
-        values, attachment = np.exp(vector[:6]), vector[6:]
-        lengths = np.array([values[2]] * 3 + [values[0], values[1]])
+        sweep, form, arm = self._sweep, self._form, self._sweep.arm
+        values, attachment, turning = np.exp(vector[:-3]), vector[-3:], len(arm.turning)
+        amplitude, scatter = values[turning + 1 : -1], values[-1]
+        lengths = arm.by_unit(values[turning], values[:turning])
         scaled = self._apart2 / lengths**2
         kernel = np.exp(-0.5 * scaled.sum(axis=2))
-        matrices = form_matrices(form, sweep.joints, attachment)
+        matrices = form_matrices(form, sweep.joints, attachment, arm)
         products = [together(part, part) for part in matrices]
-        sizes = [values[3 + g] ** 2 * kernel + constant_size(g) ** 2 for g in range(groups(form))]
+        sizes = [amplitude[g] ** 2 * kernel + constant_size(g) ** 2 for g in range(groups(form))]
         n = len(sweep)
         total: Array = np.zeros((n, 6, n, 6))
         for product, size in zip(products, sizes, strict=True):
             total += product * size[:, None, :, None]
         covariance = total.reshape(6 * n, 6 * n)
-        scatter2 = np.tile((values[5] * sweep.noise) ** 2, n)
+        scatter2 = np.tile((scatter * sweep.noise) ** 2, n)
         covariance[np.diag_indices(6 * n)] += sweep.std_of_mean.ravel() ** 2 + scatter2
         try:
             factor = cho_factor(covariance, lower=True)
@@ -185,28 +206,27 @@ class _Likelihood:
             return np.inf, np.zeros_like(vector)
         inverse = cho_solve(factor, np.eye(6 * n))
         weights = inverse @ sweep.wrench.ravel()
-        away = np.concatenate(
-            [(vector[:6] - _LOG_PRIOR) / _LOG_WIDTH, attachment / _ATTACHMENT_WIDTH_M]
-        )
+        away = (vector - self._mean) / self._width
         value = (
             0.5 * float(sweep.wrench.ravel() @ weights)
             + float(np.log(np.diag(factor[0])).sum())
             + 0.5 * float(away @ away)
         )
         pull = (np.outer(weights, weights) - inverse).reshape(n, 6, n, 6)
-        gradient = np.zeros(9)
+        gradient = np.zeros(len(vector))
+        sliding = [k for k in range(len(arm.joints)) if k not in arm.turning]
         for group, product in enumerate(products):
             # tr(W dK) for a dK that is this group's product times a change of its kernel (n, n).
-            along = values[3 + group] ** 2 * kernel * np.einsum("aibj,aibj->ab", pull, product)
-            gradient[3 + group] = -along.sum()
-            gradient[0] -= 0.5 * np.sum(along * scaled[:, :, 3])
-            gradient[1] -= 0.5 * np.sum(along * scaled[:, :, 4])
-            gradient[2] -= 0.5 * np.sum(along * scaled[:, :, :3].sum(axis=2))
-        gradient[5] = -np.einsum("aiai,i->", pull, (values[5] * sweep.noise) ** 2)
+            along = amplitude[group] ** 2 * kernel * np.einsum("aibj,aibj->ab", pull, product)
+            gradient[turning + 1 + group] = -along.sum()
+            for place, joint in enumerate(arm.turning):
+                gradient[place] -= 0.5 * np.sum(along * scaled[:, :, joint])
+            gradient[turning] -= 0.5 * np.sum(along * scaled[:, :, sliding].sum(axis=2))
+        gradient[-4] = -np.einsum("aiai,i->", pull, (scatter * sweep.noise) ** 2)
         if form != "free":
             seen = np.einsum("aibj,ab,bjl->ail", pull, sizes[0], matrices[0], optimize=True)
-            gradient[6:] = -np.einsum("dail,ail->d", self._derivatives, seen)
-        gradient += away / np.concatenate([_LOG_WIDTH, np.full(3, _ATTACHMENT_WIDTH_M)])
+            gradient[-3:] = -np.einsum("dail,ail->d", self._derivatives, seen)
+        gradient += away / self._width
         return value, gradient
 
 
@@ -290,10 +310,16 @@ def check_same_tool(tool: CalibrationFile, sweep: CableSweep) -> list[str]:
     return [f"{text}: if that is not the cable, another tool is on"]
 
 
-def pose_blocks(joints: Array) -> np.ndarray:
-    """Labels (n,) of blocks of neighbours among joints (n, 5): a few poses in each."""
-    first, second = GALEN.angles(joints).T
-    parts = int(np.clip(len(joints) // (4 * _SECOND_PARTS), 3, 6))
+def pose_blocks(angles: Array) -> np.ndarray:
+    """Labels (n,) of blocks of neighbours among angles (n, k): a few poses in each.
+
+    Of more than two angles the blocks are along the two directions in which they differ most.
+    """
+    if angles.shape[1] > 2:
+        _, _, directions = np.linalg.svd(angles - angles.mean(axis=0), full_matrices=False)
+        angles = angles @ directions[:2].T
+    first, second = angles.T
+    parts = int(np.clip(len(angles) // (4 * _SECOND_PARTS), 3, 6))
     labels = _parts(first, parts) * _SECOND_PARTS + _parts(second, _SECOND_PARTS)
     return np.unique(labels, return_inverse=True)[1]
 
@@ -315,7 +341,7 @@ def learn_cable(
     Raises NotExcitedError, or IdentificationError where held-out poses don't show a cable.
     """
     _check_poses(sweep)
-    block = pose_blocks(sweep.joints)
+    block = pose_blocks(sweep.angles)
     parts = range(int(block.max()) + 1)
     file = _scored(sweep, np.zeros_like(sweep.wrench))
     least_squares = _scored(sweep, _linear_held_out(sweep, block))
@@ -359,13 +385,19 @@ def _check_poses(sweep: CableSweep) -> None:
         raise NotExcitedError(f"the sweep has {n} still poses; at least {MIN_POSES} are needed")
     if n > MAX_POSES:
         raise NotExcitedError(f"the sweep has {n} still poses; at most {MAX_POSES} can be kept")
-    for name, angle in zip(GALEN.turning_names, GALEN.angles(sweep.joints).T, strict=True):
-        span = float(np.ptp(angle))
-        if span < _MIN_SPAN_RAD:
-            raise NotExcitedError(
-                f"the sweep covers {span:.2g} rad of {name}; at least {_MIN_SPAN_RAD:g} are needed"
-            )
-    spacing = spacing_rad(sweep.joints)
+    if len(sweep.arm.turning) < 2:
+        raise NotExcitedError(
+            f"the arm '{sweep.arm.name}' has {len(sweep.arm.turning)} revolute joints: a cable's"
+            " pull is learned over two at least"
+        )
+    spans = np.ptp(sweep.angles, axis=0)
+    second = int(np.argsort(-spans, kind="stable")[1])
+    if spans[second] < _MIN_SPAN_RAD:
+        raise NotExcitedError(
+            f"the sweep covers {spans[second]:.2g} rad of {sweep.arm.turning_names[second]}; of two"
+            f" joints at least {_MIN_SPAN_RAD:g} are needed"
+        )
+    spacing = spacing_rad(sweep.angles)
     if not spacing <= LARGEST_SPACING_RAD:
         raise NotExcitedError(
             f"the poses are too sparse: they stand {spacing:.2g} rad apart; a cable's pull needs"
@@ -426,7 +458,7 @@ def _linear_held_out(sweep: CableSweep, block: np.ndarray) -> Array:
 
 
 def _ten_columns(sweep: CableSweep) -> Array:
-    return load_and_offset(GALEN.gravity_in_sensor(GALEN.angles(sweep.joints)))
+    return load_and_offset(sweep.arm.gravity_in_sensor(sweep.angles))
 
 
 def _least_squares(design: Array, readings: Array, std: Array) -> Array:

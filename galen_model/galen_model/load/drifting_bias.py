@@ -38,7 +38,7 @@ Several sweeps have curves of their own (`segment`), which share the roughness.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 import numpy as np
@@ -72,23 +72,39 @@ class Shape(StrEnum):
 
 @dataclass(frozen=True)
 class BiasShape:
-    """A kind of curve, and for a drifting one its roughness in sigma (see above)."""
+    """A kind of curve, and for a drifting one its roughness in sigma (see above).
+
+    steps: of each jump, the sweep and the times, s, of the readings before and after it; between
+    them the bias is taken as a straight line. thermal: it also goes with the temperature.
+    """
 
     shape: Shape = Shape.CONSTANT
     roughness: float = 0.0
+    steps: tuple[tuple[int, float, float], ...] = ()
+    thermal: bool = False
 
     def __str__(self) -> str:
         """In words, as in "walk (10 sigma over a sweep)"."""
-        if self.shape in (Shape.CONSTANT, Shape.LINEAR):
-            return self.shape.value
-        return f"{self.shape.value} ({self.roughness:g} sigma over a sweep)"
+        text = self.shape.value
+        if self.shape in (Shape.WALK, Shape.SMOOTH):
+            text += f" ({self.roughness:g} sigma over a sweep)"
+        if self.steps:
+            at = ", ".join(f"{before:.1f} and {after:.1f}" for _, before, after in self.steps)
+            text += f" with a step between {at} s"
+        return f"{text} with temperature" if self.thermal else text
 
 
 class BiasBasis:
     """Curves of one shape over given times."""
 
-    def __init__(self, shape: BiasShape, time_s: Array, segment: np.ndarray) -> None:
-        """Take times (n,), s, and sweeps (n,), from 0 on, of all readings, held out or not."""
+    def __init__(
+        self,
+        shape: BiasShape,
+        time_s: Array,
+        segment: np.ndarray,
+        temperature_c: Array | None = None,
+    ) -> None:
+        """Take times (n,), s, sweeps (n,), from 0 on, temperatures of all readings, held or not."""
         self.shape = shape
         self.segments = int(segment.max()) + 1
         times = [np.unique(time_s[segment == s]) for s in range(self.segments)]
@@ -102,21 +118,35 @@ class BiasBasis:
         else:
             self._knots = [_thinned(t) for t in times]
         self._first = np.cumsum([0, *(len(knots) for knots in self._knots)])
+        self._thermal = shape.thermal and temperature_c is not None
+        if self._thermal:
+            assert temperature_c is not None
+            self._mean_c = float(np.mean(temperature_c))
+            last = [
+                np.flatnonzero(segment == s)[np.argmax(time_s[segment == s])]
+                for s in range(self.segments)
+            ]
+            self._end_c = temperature_c[last]
 
     @property
     def width(self) -> int:
         """Number of the curves' parameters."""
-        return int(self._first[-1])
+        return int(self._first[-1]) + len(self.shape.steps) + self._thermal
 
     @property
     def free(self) -> int:
         """How many of them the prior says nothing of."""
         order = 1 if self.shape.shape in (Shape.CONSTANT, Shape.WALK) else 2
-        return sum(min(order, len(knots)) for knots in self._knots)
+        further = len(self.shape.steps) + self._thermal
+        return sum(min(order, len(knots)) for knots in self._knots) + further
 
-    def rows(self, time_s: Array, segment: np.ndarray) -> Array:
-        """B (n, width) at times (n,), s, of the sweeps `segment` (n,)."""
+    def rows(self, time_s: Array, segment: np.ndarray, temperature_c: Array | None = None) -> Array:
+        """B (n, width) at times (n,), s, of the sweeps `segment` (n,), and temperatures (n,)."""
         rows = np.zeros((len(time_s), self.width))
+        for number, (sweep, *gap) in enumerate(self.shape.steps, start=int(self._first[-1])):
+            rows[:, number] = (segment == sweep) * np.interp(time_s, gap, [0.0, 1.0])
+        if self._thermal and temperature_c is not None:
+            rows[:, -1] = temperature_c - self._mean_c
         for s, knots in enumerate(self._knots):
             at = np.flatnonzero(segment == s)
             first = self._first[s]
@@ -134,11 +164,17 @@ class BiasBasis:
 
     def ends(self) -> Array:
         """B (segments, width) at each sweep's last reading."""
-        return self.rows(np.array(self._end_s), np.arange(self.segments))
+        end_c = self._end_c if self._thermal else None
+        return self.rows(np.array(self._end_s), np.arange(self.segments), end_c)
 
     def penalty(self) -> Array:
-        """Q (width, width)."""
-        matrix = np.zeros((self.width, self.width))
+        """Q (width, width).
+
+        A step or a part that goes with the temperature is known to be within 1000 sigma, so that
+        a fit to readings without either is no singular one.
+        """
+        further = np.arange(self.width) >= self._first[-1]
+        matrix = np.diag(np.where(further, 1e-6, 0.0))
         if self.shape.shape in (Shape.CONSTANT, Shape.LINEAR):
             return matrix
         order = 1 if self.shape.shape is Shape.WALK else 2
@@ -166,8 +202,8 @@ def _thinned(times: Array) -> Array:
 
 
 _ITERATIONS = 30
-Shapes = tuple[BiasShape, BiasShape]
-"""Shape of the three forces' curves, and of the three torques'."""
+Shapes = tuple[BiasShape, ...]
+"""Shapes of the six channels' curves."""
 
 
 @dataclass(frozen=True)
@@ -187,6 +223,22 @@ class Sweeps:
     prior_matrix: Array | None = None
     prior_right: Array | None = None
     zeroed: bool = False
+    temperature_c: Array | None = None
+    _bases: dict[BiasShape, tuple[BiasBasis, Array, Array]] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
+
+    def basis(self, shape: BiasShape) -> tuple[BiasBasis, Array, Array]:
+        """Return the curves of a shape, B (n, width) at the readings, and Q (width, width)."""
+        if shape not in self._bases:
+            basis = BiasBasis(shape, self.time_s, self.segment, self.temperature_c)
+            rows = basis.rows(self.time_s, self.segment, self.temperature_c)
+            penalty = basis.penalty()
+            if self.zeroed:  # one more reading of the bias alone, which is zero
+                start = rows[int(np.argmin(self.time_s))]
+                penalty = penalty + np.outer(start, start)
+            self._bases[shape] = basis, rows, penalty
+        return self._bases[shape]
 
     def __len__(self) -> int:
         """Return the number of readings."""
@@ -210,10 +262,12 @@ class BiasDriftFit:
     bases: list[BiasBasis]
     curves: list[Array]
 
-    def bias_at(self, time_s: Array, segment: np.ndarray) -> Array:
+    def bias_at(
+        self, time_s: Array, segment: np.ndarray, temperature_c: Array | None = None
+    ) -> Array:
         """Return the curves (m, 6) at other times (m,), s, of the sweeps `segment` (m,)."""
-        rows = [basis.rows(time_s, segment) for basis in self.bases]
-        return np.column_stack([rows[k // 3] @ curve for k, curve in enumerate(self.curves)])
+        rows = [basis.rows(time_s, segment, temperature_c) for basis in self.bases]
+        return np.column_stack([row @ curve for row, curve in zip(rows, self.curves, strict=True)])
 
 
 class Problem:
@@ -224,37 +278,31 @@ class Problem:
         self.weights = weights
         self.count = int(np.count_nonzero(weights))
         parameters = sweeps.design.shape[2]
-        self.bases = [BiasBasis(shape, sweeps.time_s, sweeps.segment) for shape in shapes]
-        self.rows = [basis.rows(sweeps.time_s, sweeps.segment) for basis in self.bases]
-        self.penalty = [basis.penalty() for basis in self.bases]
-        if sweeps.zeroed:  # one more reading of the bias alone, which is zero
-            first = int(np.argmin(sweeps.time_s))
-            starts = [rows[first] for rows in self.rows]
-            self.penalty = [
-                q + np.outer(start, start) for q, start in zip(self.penalty, starts, strict=True)
-            ]
         self.information = np.zeros((6, parameters, parameters))
         self.right = np.zeros((6, parameters))
+        whole = [sweeps.basis(shape) for shape in shapes]
+        self.bases, self.rows, self.penalty = map(list, zip(*whole, strict=True))
+        inverses = {shape: self._inverse(*sweeps.basis(shape)[1:]) for shape in set(shapes)}
+        self.inverse = [inverses[shape] for shape in shapes]
         self.curve_x: list[Array] = []  # M^-1 B'W X_k: (width, p)
         self.curve_y: list[Array] = []  # M^-1 B'W y_k: (width,)
-        self.inverse: list[Array] = []
-        for kind, rows in enumerate(self.rows):
-            weighted = rows * weights[:, None]
-            matrix = rows.T @ weighted + self.penalty[kind]
-            try:
-                factor = cho_factor(matrix)
-            except np.linalg.LinAlgError:  # a sweep all of whose poses were weighted to nothing
-                raise IdentificationError("the poses agree on no load") from None
-            self.inverse.append(cho_solve(factor, np.eye(len(matrix))))
-            for channel in range(3 * kind, 3 * kind + 3):
-                design, reading = sweeps.design[:, channel], sweeps.readings[:, channel]
-                curve_x = self.inverse[kind] @ (weighted.T @ design)
-                curve_y = self.inverse[kind] @ (weighted.T @ reading)
-                free = design - rows @ curve_x
-                self.information[channel] = (design * weights[:, None]).T @ free
-                self.right[channel] = (free * weights[:, None]).T @ reading
-                self.curve_x.append(curve_x)
-                self.curve_y.append(curve_y)
+        for channel, rows in enumerate(self.rows):
+            design, reading = sweeps.design[:, channel], sweeps.readings[:, channel]
+            onto = self.inverse[channel] @ (rows * weights[:, None]).T
+            self.curve_x.append(onto @ design)
+            self.curve_y.append(onto @ reading)
+            free = (design - rows @ self.curve_x[-1]) * weights[:, None]
+            self.information[channel] = design.T @ free
+            self.right[channel] = free.T @ reading
+
+    def _inverse(self, rows: Array, penalty: Array) -> Array:
+        """M^-1 (width, width)."""
+        try:
+            factor = cho_factor(rows.T @ (rows * self.weights[:, None]) + penalty)
+        # a sweep all of whose poses were weighted to nothing, or numbers without end
+        except (np.linalg.LinAlgError, ValueError):
+            raise IdentificationError("the poses agree on no load") from None
+        return np.asarray(cho_solve(factor, np.eye(len(penalty))))
 
     def solve(self, sigma: Array) -> tuple[Array, Array]:
         """Moments x (p,) and their covariance (p, p)."""
@@ -274,17 +322,19 @@ class Problem:
     def bias(self, values: Array) -> Array:
         """Return the curves (n, 6) at the readings."""
         curves = self.curves(values)
-        return np.column_stack([self.rows[k // 3] @ curves[k] for k in range(6)])
+        return np.column_stack(
+            [rows @ curve for rows, curve in zip(self.rows, curves, strict=True)]
+        )
 
     def squares(self, values: Array, residuals: Array) -> Array:
         """Return sums r'W r + beta' Q beta, (6,), whose mean is sigma^2 times the freedom."""
-        rough = [b @ self.penalty[k // 3] @ b for k, b in enumerate(self.curves(values))]
+        rough = [b @ q @ b for b, q in zip(self.curves(values), self.penalty, strict=True)]
         return np.asarray(self.weights @ residuals**2 + np.array(rough))
 
     def freedom(self, covariance: Array, sigma: Array) -> Array:
         """Return readings less what the fit has taken of each channel, (6,)."""
         taken = np.einsum("kij,ji->k", self.information, covariance) / sigma**2
-        free = np.repeat([basis.free for basis in self.bases], 3)
+        free = np.array([basis.free for basis in self.bases])
         return np.asarray(np.maximum(self.count + self.sweeps.zeroed - free - taken, 1.0))
 
     def studentised(self, residuals: Array, covariance: Array, sigma: Array) -> Array:
@@ -292,8 +342,8 @@ class Problem:
         result = np.empty(self.sweeps.readings.shape)
         of_curve = [_forms(rows, inv) for rows, inv in zip(self.rows, self.inverse, strict=True)]
         for channel in range(6):
-            free = self.sweeps.design[:, channel] - self.rows[channel // 3] @ self.curve_x[channel]
-            own = of_curve[channel // 3] + _forms(free, covariance) / sigma[channel] ** 2
+            free = self.sweeps.design[:, channel] - self.rows[channel] @ self.curve_x[channel]
+            own = of_curve[channel] + _forms(free, covariance) / sigma[channel] ** 2
             result[:, channel] = np.where(self.weights > 0.0, 1.0 - own * self.weights, 1.0 + own)
         return residuals / np.sqrt(np.maximum(result, 1e-3))
 
@@ -324,16 +374,25 @@ def finish(sweeps: Sweeps, shapes: Shapes, used: np.ndarray) -> BiasDriftFit:
     whole_values, whole_covariance = _with_ends(problem, values, covariance, sigma)
     distance = _distance(problem, residuals, covariance, sigma)
     fit = RobustFit(whole_values, whole_covariance * wider, residuals, sigma, used, distance)
-    constant = Problem(sweeps, (BiasShape(), BiasShape()), problem.weights).solve(sigma)[1]
-    growth = np.sqrt(np.diag(covariance) / np.diag(constant))
+    constant = Problem(sweeps, (BiasShape(),) * 6, problem.weights).solve(sigma)[1]
+    variances = np.diag(covariance), np.diag(constant)
+    if np.min(variances) <= 0.0:  # rounding: nothing but the prior holds a parameter
+        raise IdentificationError("the poses agree on no load")
+    growth = np.sqrt(variances[0] / variances[1])
     curves = problem.curves(values)
     return BiasDriftFit(fit, bias, shapes, growth, problem.bases, curves)
 
 
-def settle(problem: Problem, tolerance: float = 1e-9) -> tuple[Array, Array, Array, Array]:
-    """x, its covariance, each channel's noise and freedom, found together."""
+def settle(
+    problem: Problem, tolerance: float = 1e-9, sigma: Array | None = None
+) -> tuple[Array, Array, Array, Array]:
+    """x, its covariance, each channel's noise and freedom, found together.
+
+    sigma: (6,) where to begin; None: the readings' scatter.
+    """
     sweeps = problem.sweeps
-    sigma = np.maximum(np.std(sweeps.readings, axis=0), tiny(sweeps.readings))
+    if sigma is None:
+        sigma = np.maximum(np.std(sweeps.readings, axis=0), tiny(sweeps.readings))
     for _ in range(_ITERATIONS):
         values, covariance = problem.solve(sigma)
         residuals = sweeps.readings - sweeps.design @ values - problem.bias(values)
@@ -360,12 +419,11 @@ def _with_ends(
     own = np.zeros((6 * segments, 6 * segments))
     ends = np.zeros(6 * segments)
     for channel in range(6):
-        kind = channel // 3
-        at = problem.bases[kind].ends()
+        at = problem.bases[channel].ends()
         places = channel + 6 * np.arange(segments)
         ends[places] = at @ curves[channel]
         slope[places] = -at @ problem.curve_x[channel]
-        own[np.ix_(places, places)] = sigma[channel] ** 2 * at @ problem.inverse[kind] @ at.T
+        own[np.ix_(places, places)] = sigma[channel] ** 2 * at @ problem.inverse[channel] @ at.T
     joint = np.block(
         [
             [covariance, covariance @ slope.T],
@@ -403,11 +461,15 @@ def agreeing(sweeps: Sweeps, shapes: Shapes) -> np.ndarray:
         weights = new
         if step >= _ITERATIONS and moved < 1e-3:
             break
-    freedom = max(count - sweeps.design.shape[2] / 6.0 - problem.bases[0].free, 1.0)
+    freedom = max(
+        count - sweeps.design.shape[2] / 6.0 - max(basis.free for basis in problem.bases), 1.0
+    )
     limit = 6.0 * f_ppf(1.0 - FALSE_REJECTIONS_PER_SWEEP / count, 6, freedom)
     used = distance**2 <= limit
     for _ in range(_ITERATIONS):
-        if used.sum() * 6 <= sweeps.design.shape[2] + 6 * problem.bases[0].free:
+        if used.sum() * 6 <= sweeps.design.shape[2] + 6 * max(
+            basis.free for basis in problem.bases
+        ):
             raise IdentificationError(f"only {int(used.sum())} of {count} poses agree on a load")
         next_used = finish(sweeps, shapes, used).fit.distance ** 2 <= limit
         if np.array_equal(next_used, used):

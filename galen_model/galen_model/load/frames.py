@@ -6,12 +6,13 @@ by A C A^T with
 
     A = [[1, 0], [0, R]]                    (first-order propagation, exact since it is linear)
 
-The tip and the last link are rigid to the sensor. Frames beyond depend on joints, whose own errors
-are not in the covariance.
+The tip, the last link and what its fixed joints carry (such as a flange) are rigid to the sensor.
+Frames beyond depend on joints, whose own errors are not in the covariance.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,11 +24,21 @@ from galen_model.errors import GalenError
 from galen_model.files.calibration_file import LoadEstimate
 from galen_model.registration import move_wrench
 
+_Fixed = tuple[str, Array, Array]
+"""A frame's place: the joint that carries it, R_joint_frame (3, 3), the frame's origin (3,), m."""
+
 
 def frames(arm: Arm = GALEN) -> tuple[str, ...]:
-    """Names of the frames that a load can be given in: sensor, tip, links towards the base."""
+    """Names of the frames that a load can be given in: sensor, tip, links towards the base.
+
+    Then the description's other frames that are rigid to one of these.
+    """
     links = (joint.link for joint in reversed(arm.joints))
-    return arm.sensor_frame, TIP_FRAME, *links, arm.base_frame
+    named = (arm.sensor_frame, TIP_FRAME, *links, arm.base_frame)
+    placed = placed_frames(arm.urdf)
+    carriers = {*arm.joint_names, *(placed[f][0] for f in (arm.base_frame,) if f in placed)}
+    others = (name for name, (carrier, *_) in placed.items() if carrier in carriers)
+    return tuple(dict.fromkeys((*named, *others)))
 
 
 class FrameError(GalenError):
@@ -64,7 +75,7 @@ class SensorInFrame:
 
 def needed_joints(frame: str, arm: Arm = GALEN) -> tuple[str, ...]:
     """Names of the joints between a frame and the sensor; raises FrameError."""
-    return arm.joint_names[_first_joint(frame, arm) :]
+    return arm.joint_names[_carrier(frame, arm)[0] :]
 
 
 def joint_vector(values: Sequence[float], arm: Arm = GALEN) -> Array:
@@ -94,9 +105,9 @@ def sensor_in_frame(
     """
     if frame == TIP_FRAME:
         return SensorInFrame(frame, np.eye(3), -np.asarray(tip_m, dtype=float))
-    first = _first_joint(frame, arm)
     if frame == arm.sensor_frame:
         return SensorInFrame(frame, np.eye(3), np.zeros(3))
+    first, turn, origin = _carrier(frame, arm)
     q = np.full(len(arm.joints), np.nan) if joints is None else np.asarray(joints, dtype=float)
     lacking = [
         name
@@ -109,16 +120,55 @@ def sensor_in_frame(
             f" {', '.join(lacking)}"
         )
     beyond = replace(arm, joints=arm.joints[first:], delta=None)
-    return SensorInFrame(frame, *beyond.sensor_pose(q[first:]))
+    rotation, sensor = beyond.sensor_pose(q[first:])
+    return SensorInFrame(frame, turn.T @ rotation, turn.T @ (sensor - origin))
 
 
-def _first_joint(frame: str, arm: Arm) -> int:
-    """Place of the first joint between a frame and the sensor."""
+def _carrier(frame: str, arm: Arm) -> tuple[int, Array, Array]:
+    """Place of the first joint between a frame and the sensor; the frame in the link before it.
+
+    The frame as R_link_frame (3, 3) and its origin (3,) in the link, m.
+    """
+    rigid = np.eye(3), np.zeros(3)
     if frame in (arm.sensor_frame, TIP_FRAME):
-        return len(arm.joints)
+        return len(arm.joints), *rigid
     if frame == arm.base_frame:
-        return 0
+        return 0, *rigid
     for k, joint in enumerate(arm.joints):
         if joint.link == frame:
-            return k + 1
+            return k + 1, *rigid
+    placed = placed_frames(arm.urdf)
+    if frame in placed:
+        carrier, turn, origin = placed[frame]
+        if carrier in arm.joint_names:
+            return arm.joint_names.index(carrier) + 1, turn, origin
+        base_carrier, base_turn, base_origin = placed[arm.base_frame]
+        if carrier == base_carrier:
+            return 0, base_turn.T @ turn, base_turn.T @ (origin - base_origin)
+        raise FrameError(
+            f"frame '{frame}' hangs on the joint '{carrier}', which is not between"
+            f" {arm.base_frame} and {arm.sensor_frame}"
+        )
     raise FrameError(f"no frame '{frame}'; there are {', '.join(frames(arm))}")
+
+
+@lru_cache(maxsize=4)
+def placed_frames(urdf: str) -> Mapping[str, _Fixed]:
+    """Frames of a description, empty without one: the joint that carries each, and its place.
+
+    The place in the joint's own frame, R (3, 3) and origin (3,), m.
+    """
+    if not urdf:
+        return {}
+    import pinocchio  # slow to import, and most frames need none
+
+    model = pinocchio.buildModelFromXML(urdf)
+    return {
+        frame.name: (
+            model.names[frame.parentJoint],
+            frame.placement.rotation.copy(),
+            frame.placement.translation.copy(),
+        )
+        for frame in model.frames
+        if frame.type == pinocchio.FrameType.BODY
+    }

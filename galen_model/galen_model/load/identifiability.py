@@ -31,7 +31,7 @@ import numpy as np
 from galen_model.arm.galen import GRAVITY_M_S2
 from galen_model.arrays import Array
 from galen_model.errors import NotExcitedError
-from galen_model.load.mounting.mounting import FORCE_GAIN, TORQUE_GAIN
+from galen_model.load.mounting.mounting import COMMON_ZERO, FORCE_GAIN, TORQUE_GAIN
 
 if TYPE_CHECKING:
     from galen_model.load.identification import StillPoses
@@ -55,15 +55,17 @@ It is as large as what such parameters are in practice, and far within where the
 """
 
 _EXACT = 1e6  # an inflation that only rounding keeps from being infinite
+_ROUNDING = 1e-9  # of the largest column: a smaller one has no effect
 _MASSES, _CENTRES = "the masses", "the centres"
-_TURN = "turn the sensor further, about both axes, or sweep with the base in another place"
-_REMEDIES = {
-    frozenset({"the roll joint's zero", "the base's inclination about x"}): (
+_TURN = "turn the sensor further, about every axis, or sweep with the base in another place"
+_ZERO_TWINS = {
+    "the base's inclination": (
         "ask for one of them; level the base, or find the joint's zero with a tracker"
     ),
-    frozenset({"the tilt joint's zero", "the sensor's rotation about y"}): (
-        "ask for one of them; a tracker shows where the joint stands"
-    ),
+    "the sensor's rotation": "ask for one of them; a tracker shows where the joint stands",
+}
+"""Remedies where a joint's zero is confused with these."""
+_REMEDIES = {
     frozenset({FORCE_GAIN, _MASSES}): (
         "weigh the load on a scale (known mass), or ask for the gains' ratios only"
     ),
@@ -92,18 +94,20 @@ def check_excitation(
         size = f"{worst:.0f} times less information than well-spread poses"
     spread = "; ".join(
         f"{len(sweep)} poses {label} span "
-        + " and ".join(
-            f"{span:.3f} rad of {name}"
-            for name, span in zip(
-                sweep.arm.turning_names, np.ptp(sweep.angles, axis=0), strict=True
-            )
+        + _join(
+            [
+                f"{span:.3f} rad of {name}"
+                for name, span in zip(
+                    sweep.arm.turning_names, np.ptp(sweep.angles, axis=0), strict=True
+                )
+            ]
         )
         for label, sweep in (poses or {}).items()
     )
     raise NotExcitedError(
         f"insufficient excitation: the poses hold {size} about {_join(missing)}"
         + (f" ({spread})" if spread else "")
-        + ": turn the sensor further, about both axes"
+        + ": turn the sensor further, about two axes at least"
     )
 
 
@@ -173,6 +177,10 @@ def check_identifiable(
 def _remedy(pair: frozenset[str]) -> str:
     if _CENTRES in pair and TORQUE_GAIN not in pair and any("of t" in name for name in pair):
         return "a load well off every axis, or ask for the force gains' ratios only"
+    if any(name.endswith("joint's zero") or name.startswith(COMMON_ZERO) for name in pair):
+        for twin, remedy in _ZERO_TWINS.items():
+            if any(name.startswith(twin) for name in pair):
+                return remedy
     return _REMEDIES.get(pair, _TURN)
 
 
@@ -187,6 +195,7 @@ class _Space:
     ) -> None:
         rows = (jacobian / sigma[:, None]).reshape(-1, jacobian.shape[2])
         self._rows = np.concatenate([rows, known])
+        self._nothing = _ROUNDING * float(np.linalg.norm(rows, axis=0).max())
         # What is known beforehand is as good as it is stated, beside readings however exact.
         self._limit = _EXACT if len(known) else MAX_INFLATION
         self._max_std = max_std
@@ -206,7 +215,7 @@ class _Space:
         alone = self._free(mine, self._offsets)
         beside_loads = self._free(mine, beside)
         beside_all = self._free(mine, beside + others)
-        if alone == 0.0 or self._lost(alone, alone):
+        if alone <= self._nothing or self._lost(alone, alone):
             return ()
         if self._lost(alone, beside_loads):
             free = {

@@ -35,7 +35,7 @@ from galen_model.load.model import gravity_regressor
 from galen_model.load.robust_fit import Prior, RobustFit, fit_robust
 
 if TYPE_CHECKING:
-    from galen_model.load.drifting_identification import SweepBiasDrift
+    from galen_model.load.drifting_bias import Shapes
     from galen_model.load.mounting.mounting import Mounting
 
 MIN_POSES = 4
@@ -53,7 +53,8 @@ class StillPoses:
 
     angles: (n, k) of the turning joints, rad; wrench: (n, 6) N and N.m; std_of_mean: (n, 6), the
     averaged reading's standard deviation from the scatter within each pose, or None; time_s: (n,)
-    when each was taken, s from anywhere, or None. A bias that drifts needs it.
+    when each was taken, s from anywhere, or None. A bias that drifts needs it. temperature_c: (n,)
+    of the sensor, deg C, or None.
     """
 
     angles: Array
@@ -61,6 +62,7 @@ class StillPoses:
     std_of_mean: Array | None = None
     time_s: Array | None = None
     arm: Arm = GALEN
+    temperature_c: Array | None = None
 
     def __post_init__(self) -> None:
         """Check shapes and values; raises IdentificationError."""
@@ -75,10 +77,13 @@ class StillPoses:
                 f"wrenches of the still poses have shape {self.wrench.shape}; expected ({count}, 6)"
             )
         named = {"angles": self.angles, "wrench": self.wrench}
-        if self.time_s is not None:
-            if self.time_s.shape != (count,):
-                raise IdentificationError("angles and times of the still poses differ in length")
-            named["time"] = self.time_s
+        for name, column in (("time", self.time_s), ("temperature", self.temperature_c)):
+            if column is not None:
+                if column.shape != (count,):
+                    raise IdentificationError(
+                        f"angles and {name} of the still poses differ in length"
+                    )
+                named[name] = column
         for name, values in named.items():
             if not np.all(np.isfinite(values)):
                 raise IdentificationError(f"{name} of the still poses holds a non-finite value")
@@ -92,6 +97,33 @@ class StillPoses:
         """Gravity (n, 3) in ft_sensor, m/s^2."""
         return self.arm.gravity_in_sensor(self.angles)
 
+    def take(self, rows: np.ndarray) -> StillPoses:
+        """Return the poses `rows` (n,), a mask."""
+
+        def part(column: Array | None) -> Array | None:
+            return None if column is None else column[rows]
+
+        return StillPoses(
+            self.angles[rows],
+            self.wrench[rows],
+            part(self.std_of_mean),
+            part(self.time_s),
+            self.arm,
+            part(self.temperature_c),
+        )
+
+
+@dataclass(frozen=True)
+class SweepBiasDrift:
+    """How the bias went over a calibration.
+
+    shapes: of the six axes. bare (m, 6) or None, tool (n, 6): the bias at each pose, N and N.m.
+    """
+
+    shapes: Shapes
+    bare: Array | None
+    tool: Array
+
 
 @dataclass(frozen=True)
 class Identification:
@@ -103,8 +135,9 @@ class Identification:
     rmse: (6,) residual of the used readings of the sweep with the tool; sigma: (6,) noise of one
     averaged reading as the residuals tell it. used_*: masks of the poses used. outliers: poses that
     the fit left out: the sweep ("bare" or "tool"), the place in it, and by how many sigmas.
-    bias_drift: None unless a bias that drifts was asked for; where it does, each offset is that at
-    its sweep's last pose. mounting: None unless its parameters were asked for.
+    bias_drift: None unless a bias that drifts was chosen; where it was, each offset is that at
+    its sweep's last pose. mounting: None unless its parameters were asked for, or chosen. model,
+    reason: what was chosen, and why, in a line each; empty where nothing was.
     """
 
     load: LoadEstimate
@@ -122,6 +155,8 @@ class Identification:
     unresolved: tuple[str, ...] = ()
     bias_drift: SweepBiasDrift | None = None
     mounting: Mounting | None = None
+    model: str = ""
+    reason: str = ""
 
 
 def identify_two_sweeps(
@@ -132,6 +167,18 @@ def identify_two_sweeps(
     Raises NotExcitedError naming what the poses don't tell, IdentificationError for a mass that is
     not positive, too few poses or too many that fit no load.
     """
+    design = check_two_sweeps(bare, tool, zero_angles)
+    poses = {"without the tool": bare, "with the tool": tool}
+    fit = fit_robust(design, np.concatenate([bare.wrench, tool.wrench]))
+    check_rejections(fit)
+    check_excitation(design[fit.used], LOAD_PARAMETERS, poses)
+    return two_sweeps_result(fit, bare, tool)
+
+
+def check_two_sweeps(
+    bare: StillPoses, tool: StillPoses, zero_angles: ArrayLike | None = None
+) -> Array:
+    """Return the design of `two_sweeps_design`; raises as `identify_two_sweeps` before a fit."""
     check_count(bare, "sweep without the tool")
     check_count(tool, "sweep with the tool")
     zero = gravity_regressor(tool.arm.gravity_in_sensor(zero_angles))
@@ -142,15 +189,23 @@ def identify_two_sweeps(
     check_excitation(design, LOAD_PARAMETERS, poses)
     check_channels(bare_rows, bare, "sweep without the tool")
     check_channels(tool_rows, tool, "sweep with the tool")
-
-    fit = fit_robust(design, np.concatenate([bare.wrench, tool.wrench]))
-    check_rejections(fit)
-    check_excitation(design[fit.used], LOAD_PARAMETERS, poses)
-    return two_sweeps_result(fit, bare, tool)
+    return design
 
 
-def two_sweeps_result(fit: RobustFit, bare: StillPoses, tool: StillPoses) -> Identification:
-    """Return what a fit to both sweeps found.
+def check_one_sweep(tool: StillPoses) -> None:
+    """Raise as `identify_one_sweep` does before a fit.
+
+    The sum of both loads must show in the poses themselves, whatever the zeroing tells.
+    """
+    check_count(tool, "sweep with the tool")
+    check_excitation(single_load_design(tool.gravity), LOAD_PARAMETERS[:4], {"with the tool": tool})
+    check_channels(gravity_regressor(tool.gravity), tool, "sweep with the tool")
+
+
+def two_sweeps_result(
+    fit: RobustFit, bare: StillPoses, tool: StillPoses, *, drifts: bool = False
+) -> Identification:
+    """Return what a fit to both sweeps found; drifts: a change between the sweeps is no news.
 
     Its values: see `two_sweeps_design`, any others last.
 
@@ -163,7 +218,7 @@ def two_sweeps_result(fit: RobustFit, bare: StillPoses, tool: StillPoses) -> Ide
     change_std = np.sqrt(np.diag(change_matrix @ fit.covariance @ change_matrix.T))
     warnings = [
         *_noise_warnings(fit, _joined_std(bare, tool)),
-        *_drift_warnings(change, change_std, fit.sigma),
+        *([] if drifts else _drift_warnings(change, change_std, fit.sigma)),
         *_bias_drift_warnings(fit, slice(0, len(bare)), "sweep without the tool"),
         *_bias_drift_warnings(fit, slice(len(bare), None), "sweep with the tool"),
     ]
@@ -198,21 +253,17 @@ def identify_one_sweep(tool: StillPoses, zero_angles: ArrayLike | None = None) -
 
     Raises as `identify_two_sweeps` does.
     """
-    check_count(tool, "sweep with the tool")
+    check_one_sweep(tool)
     gravity_zero = tool.arm.gravity_in_sensor(zero_angles)
     rows = gravity_regressor(tool.gravity)
     design = np.zeros((len(tool), 6, 14))
     design[:, :, :4] = rows
     design[:, :, 4:8] = rows - gravity_regressor(gravity_zero)
     design[:, :, 8:14] = np.eye(6)
-    # The sum of both loads must show in the poses themselves, whatever the zeroing tells.
-    sum_design = np.concatenate([design[:, :, :4], design[:, :, 8:14]], axis=2)
-    check_excitation(sum_design, LOAD_PARAMETERS[:4], {"with the tool": tool})
-    check_channels(rows, tool, "sweep with the tool")
-
     fit = fit_robust(design, tool.wrench, Prior(*one_sweep_prior(gravity_zero), slice(8, 14)))
     check_rejections(fit)
-    check_excitation(sum_design[fit.used], LOAD_PARAMETERS[:4], {"with the tool": tool})
+    sum_design = single_load_design(tool.gravity[fit.used])
+    check_excitation(sum_design, LOAD_PARAMETERS[:4], {"with the tool": tool})
     return one_sweep_result(fit, tool, gravity_zero)
 
 

@@ -23,6 +23,7 @@ readings about their mean (Umeyama, *IEEE Trans. Pattern Analysis and Machine In
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -37,8 +38,6 @@ from galen_model.rotation import matrix_to_rotvec, skew
 
 INERTIA_NAMES = ("xx", "yy", "zz", "xy", "xz", "yz")
 """Order of the six numbers of an inertia; those off the diagonal as they stand in the matrix."""
-
-Vector = tuple[float, float, float]
 
 
 def inertial_regressor(
@@ -116,7 +115,7 @@ class LoadInMotion:
         self._inertia = tuple(float(v) for v in np.asarray(about_sensor_kg_m2, dtype=float))
 
     def wrench(
-        self, specific: Vector, velocity: Vector, acceleration: Vector
+        self, specific: Sequence[float], velocity: Sequence[float], acceleration: Sequence[float]
     ) -> tuple[float, float, float, float, float, float]:
         """Return the wrench, N and N.m, from s (g - a, or -a alone), w and al in ft_sensor."""
         m, hx, hy, hz = self._moments

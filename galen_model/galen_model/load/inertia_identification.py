@@ -35,6 +35,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
+from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN
 from galen_model.arm.sensor_motion import sensor_motion
 from galen_model.arrays import Array
@@ -84,13 +85,14 @@ def motion_record(
     wrenches: Array,
     mounting: Mounting | None = None,
     cutoff_hz: float = CUTOFF_HZ,
+    arm: Arm = GALEN,
 ) -> MotionRecord:
-    """From joints (n, 5), m and rad, and wrenches (m, 6), N and N.m, with their stamps, ns.
+    """From the arm's joints (n, k), m and rad, and wrenches (m, 6), N and N.m; stamps in ns.
 
     Readings come at ten times the cut-off; the ends of each stretch without a gap are left out, as
     filters have nothing to hold on to there. Raises IdentificationError where nothing is left.
     """
-    mounting = mounting or Mounting()
+    mounting = mounting or Mounting.of(arm)
     kept = np.isfinite(joints).all(axis=1)
     joint_stamp_ns, joints = joint_stamp_ns[kept], joints[kept]
     kept = np.isfinite(wrenches).all(axis=1)
@@ -117,13 +119,13 @@ def motion_record(
         step = max(1, round(1.0 / (_SAMPLES_A_CUTOFF * cutoff_hz * period_s)))
         edge = round(_EDGE_S / period_s)
         rows = slice(edge, len(time_s) - edge, step)
-        angles = GALEN.angles(smooth[rows])
-        true = GALEN.with_angles(angles + mounting.joint_zero_rad, smooth[rows])
-        motion = sensor_motion(true, velocity[rows], acceleration[rows])
+        angles = arm.angles(smooth[rows])
+        true = arm.with_angles(angles + mounting.joint_zero_rad, smooth[rows])
+        motion = sensor_motion(true, velocity[rows], acceleration[rows], arm)
         parts.append(
             MotionRecord(
                 time_s[rows],
-                mounting.gravity_in_sensor(angles),
+                mounting.gravity_in_sensor(angles, arm),
                 motion.acceleration_m_s2,
                 motion.velocity_rad_s,
                 motion.acceleration_rad_s2,

@@ -22,7 +22,7 @@ class Prediction:
 
         reading = A u + c,   u = R_base_sensor^T d,
 
-    with gravity's direction d in the base's frame, (0, 0, -1) for a level base, and angles that
+    with gravity's direction d in the base's frame, the arm's for a level base, and angles that
     hold the joints' zeros (`galen_model.load.mounting.mounting`). A (6, 3) and c (6,) are read off
     the file's own `predict_under`, so that the physics, and a turned sensor's gains, stay in one
     place.
@@ -30,14 +30,14 @@ class Prediction:
 
     def __init__(self, tool: CalibrationFile, arm: Arm = GALEN) -> None:
         self._arm, self._into_sensor = arm, arm.into_sensor
-        gravity = abs(tool.gravity_m_s2[2])
+        gravity = float(np.linalg.norm(tool.gravity_m_s2))
         self._constant: Array = tool.predict_under(np.zeros(3))
         self._by_direction: Array = (
             tool.predict_under(gravity * np.eye(3)) - self._constant[None, :]
         ).T
         self._by_direction_and_one: Array = np.vstack([self._by_direction.T, self._constant])
-        mounting = Mounting() if tool.mounting is None else tool.mounting
-        x, y, z = mounting.gravity_direction.tolist()
+        mounting = Mounting.of(arm) if tool.mounting is None else tool.mounting
+        x, y, z = mounting.gravity_direction(arm).tolist()
         self._down = (x, y, z)
         self._zero: list[float] = mounting.joint_zero_rad.tolist()
         self._turns = tuple(zip(arm.turns, self._zero, strict=True))

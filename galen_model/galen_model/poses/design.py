@@ -16,6 +16,11 @@ tool's own covariance is twice that of the sum). The criterion is linear in N^-1
     compensation's error, mean over workspace and axes, in units of one averaged reading's ("V-" or
     "I-optimality"; Pukelsheim, *Optimal Design of Experiments*, 1993).
 
+I(theta) is a function of gravity's direction in the sensor alone. The workspace is a grid of the
+angles for up to two revolute joints. Of more joints it is the directions that they can give, evenly
+over the sphere; then no n poses do better than phi = 10 / (6 n), as directions evenly over all of
+it.
+
 Fedorov's exchange finds n poses (Fedorov 1972, chapter 2): each is taken out in turn and the best
 candidate put in, until no exchange is better.
 """
@@ -26,13 +31,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN, GRAVITY_M_S2, SENSOR
-from galen_model.arrays import Array
+from galen_model.arm.galen import GALEN, SENSOR
+from galen_model.arrays import Array, evenly_spread
 from galen_model.errors import GalenError
 from galen_model.load.identification import single_load_design
 from galen_model.load.model import gravity_regressor
 
 _WORKSPACE_STEPS = 25
+MOST_GRID_JOINTS = 2  # a grid of more angles has too many poses
+_REACH_POSES = 4096
 _PARAMETERS = 10
 _EXCHANGES = 100  # rounds; ten are many
 _BETTER = 1e-9
@@ -58,28 +65,58 @@ def angle_grid(
 
 
 def workspace(steps: int, arm: Arm = GALEN) -> Array:
-    """Angles (steps^k, k), rad, evenly over all that the joints' limits allow."""
-    return angle_grid(arm.angles(arm.lower), arm.angles(arm.upper), *[steps] * len(arm.turning))
+    """Angles (w, k), rad, evenly over all that the joints' limits allow.
+
+    A grid of steps^k for up to two joints, steps^2 spread poses of more.
+    """
+    lower, upper = angle_limits(arm)
+    if len(lower) <= MOST_GRID_JOINTS:
+        return angle_grid(lower, upper, *[steps] * len(lower))
+    return lower + (upper - lower) * evenly_spread(steps**2, len(lower))
 
 
-def workspace_rows() -> Array:
-    """B (w, 6, 10) at poses evenly over the workspace."""
-    return _rows(workspace(_WORKSPACE_STEPS))
+def angle_limits(arm: Arm) -> tuple[Array, Array]:
+    """Lowest and highest angles (k,), rad, at most one turn apart."""
+    lower, upper = arm.angles(arm.lower), arm.angles(arm.upper)
+    turn = upper - lower > 2.0 * np.pi
+    return np.where(turn, -np.pi, lower), np.where(turn, np.pi, upper)
 
 
-def compensation_std(poses: Array, sigma: Array) -> Array:
+def workspace_gravity(arm: Arm = GALEN) -> Array:
+    """Gravity (w, 3) in the sensor over the workspace, m/s^2."""
+    if len(arm.turning) <= MOST_GRID_JOINTS:
+        return arm.gravity_in_sensor(workspace(_WORKSPACE_STEPS, arm))
+    count = _WORKSPACE_STEPS**2
+    # Fibonacci's spiral, equal shares of the sphere (Gonzalez, Math. Geosci. 42, 2010)
+    height = 1.0 - (2.0 * np.arange(count) + 1.0) / count
+    turn = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(count)
+    flat = np.sqrt(1.0 - height**2)
+    even = np.column_stack([flat * np.cos(turn), flat * np.sin(turn), height])
+    lower, upper = angle_limits(arm)
+    angles = lower + (upper - lower) * evenly_spread(_REACH_POSES, len(lower))
+    reached = arm.gravity_in_sensor(angles)
+    size = np.linalg.norm(arm.gravity_m_s2)
+    near = np.max(even @ reached.T, axis=1) > size * np.cos(2.0 * np.sqrt(np.pi / count))
+    return np.asarray(even[near] * size)
+
+
+def compensation_std(poses: Array, sigma: Array, arm: Arm = GALEN) -> Array:
     """Std (6,), N and N.m, of the compensation's error after a sweep of angles (n, k), rad.
 
     Root of the mean variance over the workspace; sigma (6,) is one averaged reading's noise. inf
     where the poses don't tell the load.
     """
-    rows = _rows(np.asarray(poses, dtype=float))
-    information = _information(rows, sigma).sum(axis=0)
+    return compensation_std_under(arm.gravity_in_sensor(poses), sigma, arm)
+
+
+def compensation_std_under(gravity: Array, sigma: Array, arm: Arm = GALEN) -> Array:
+    """As `compensation_std`, after a sweep under gravity (n, 3) in the sensor, m/s^2."""
+    information = _information(single_load_design(gravity), sigma).sum(axis=0)
     scaled, balance = _balanced(information)
     if np.linalg.eigvalsh(scaled)[0] < _RIDGE:
         return np.full(6, np.inf)
     covariance = np.linalg.inv(scaled) * balance
-    everywhere = workspace_rows()
+    everywhere = single_load_design(workspace_gravity(arm))
     variance = np.einsum("wkp,pq,wkq->k", everywhere, covariance, everywhere) / len(everywhere)
     return np.asarray(np.sqrt(variance))
 
@@ -97,11 +134,13 @@ class PoseDesign:
         *,
         sigma: Array | None = None,
         one_sweep_zero: ArrayLike | None = None,
+        arm: Arm = GALEN,
     ) -> None:
-        self.candidates = np.asarray(candidates, dtype=float).reshape(-1, len(GALEN.turning))
+        self._arm = arm
+        self.candidates = np.asarray(candidates, dtype=float).reshape(-1, len(arm.turning))
         self._sigma = reading_noise() if sigma is None else np.asarray(sigma, dtype=float)
         # Parameters scaled so that one ideal reading would tell each of them to about 1.
-        gravity = -GRAVITY_M_S2[2]
+        gravity = float(np.linalg.norm(arm.gravity_m_s2))
         force, torque = self._sigma[:3].mean(), self._sigma[3:].mean()
         self._scale = np.concatenate(
             [[force / gravity], np.full(3, np.sqrt(1.5) * torque / gravity), self._sigma]
@@ -109,18 +148,27 @@ class PoseDesign:
         self._each = self.information(self.candidates)
         self._known = np.zeros((_PARAMETERS, _PARAMETERS))
         if one_sweep_zero is not None:
-            self._known[4:, 4:] = _zeroing_information(one_sweep_zero, self._sigma)
+            self._known[4:, 4:] = _zeroing_information(
+                arm.gravity_in_sensor(one_sweep_zero), self._sigma
+            )
             self._known *= np.outer(self._scale, self._scale)
-        rows = workspace_rows() * self._scale
+        rows = single_load_design(workspace_gravity(arm)) * self._scale
         self._target = _information(rows, self._sigma).mean(axis=0) / 6.0
 
     def information(self, poses: Array) -> Array:
         """I (n, 10, 10) of angles (n, k), rad, in the scaled parameters."""
-        return _information(_rows(np.asarray(poses, dtype=float)) * self._scale, self._sigma)
+        rows = single_load_design(self._arm.gravity_in_sensor(poses))
+        return _information(rows * self._scale, self._sigma)
 
     def value(self, poses: Array) -> float:
         """Phi of angles (n, k), rad, whether candidates or not; inf where they don't tell all."""
         return float(self._value(self.information(poses).sum(axis=0) + self._known))
+
+    def best_value(self, count: int) -> float:
+        """Phi of `count` poses that are spread as the workspace is."""
+        return float(
+            np.trace(self._target @ np.linalg.pinv(6.0 * count * self._target + self._known))
+        )
 
     def choose(self, count: int, start: Sequence[int] = ()) -> list[int]:
         """Return indices of `count` candidates, sorted; `start`: some to begin with.
@@ -132,18 +180,23 @@ class PoseDesign:
                 f"{count} poses are wanted, but there are only {len(self.candidates)} to choose"
                 " from"
             )
-        chosen = list(start)[:count]
-        # Until the poses tell all, a little of every candidate stands in for those to come.
-        ridge = 1e-3 * self._each.mean(axis=0)
-        while len(chosen) < count:
-            so_far = self._each[chosen].sum(axis=0) + self._known + ridge
-            chosen.append(self._best(so_far, chosen)[0])
+        chosen = self.first(count, start)
         self._exchange(chosen)
         if not np.isfinite(self.value(self.candidates[chosen])):
             raise PoseDesignError(
                 f"{count} poses out of {len(self.candidates)} don't tell all of the load"
             )
         return sorted(chosen)
+
+    def first(self, count: int, start: Sequence[int] = ()) -> list[int]:
+        """Return indices of `count` candidates, the best one by one; no exchange follows."""
+        chosen = list(start)[:count]
+        # Until the poses tell all, a little of every candidate stands in for those to come.
+        ridge = 1e-3 * self._each.mean(axis=0)
+        while len(chosen) < count:
+            so_far = self._each[chosen].sum(axis=0) + self._known + ridge
+            chosen.append(self._best(so_far, chosen)[0])
+        return chosen
 
     def _exchange(self, chosen: list[int]) -> None:
         """Fedorov's exchange in place, until a whole round finds nothing better."""
@@ -174,10 +227,6 @@ class PoseDesign:
         return np.where(told, values, np.inf)
 
 
-def _rows(poses: Array) -> Array:
-    return single_load_design(GALEN.gravity_in_sensor(poses))
-
-
 def _information(rows: Array, sigma: Array) -> Array:
     """(n, p, p) of each pose's rows (n, 6, p)."""
     weighted = rows / np.asarray(sigma)[:, None] ** 2
@@ -191,12 +240,12 @@ def _balanced(information: Array) -> tuple[Array, Array]:
     return information * both, both
 
 
-def _zeroing_information(zero_angles: ArrayLike, sigma: Array) -> Array:
+def _zeroing_information(gravity_zero: Array, sigma: Array) -> Array:
     """Of c = o - G_0 x_adapter (6, 6): o is zero to one reading's noise, x_adapter not known.
 
     W - W G_0 (G_0^T W G_0)^+ G_0^T W with W = Sigma^-1, what is left when x_adapter is taken out.
     """
-    at_zero = gravity_regressor(GALEN.gravity_in_sensor(zero_angles))
+    at_zero = gravity_regressor(gravity_zero)
     weights = np.diag(1.0 / np.asarray(sigma) ** 2)
     root = np.diag(1.0 / np.asarray(sigma)) @ at_zero
     basis, singular, _ = np.linalg.svd(root, full_matrices=False)

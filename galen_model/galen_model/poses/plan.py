@@ -1,25 +1,24 @@
 """Which poses a sweep visits: the grid's, chosen or listed ones, and the ways around boxes.
 
-The grid is over tilt and roll, in an order that saves travel. The 2019 report sweeps 7 tilts x 8
-rolls = 56 poses (class roBehaviorGravComp: tstart, tend, itersT, rstart, rend, itersR).
+The grid is over tilt and roll. The 2019 report sweeps 7 tilts x 8 rolls = 56 poses (class
+roBehaviorGravComp: tstart, tend, itersT, rstart, rend, itersR). The order of grid and chosen poses
+is that of `galen_model.poses.order`.
 
-The order of chosen poses is a short way on which a drift does not look like a load. A reading that
-drifts by b t over the sweep moves the fit by C A^T W (b t). The load's columns are linear in
-gravity's direction u, the offsets take the mean; so nothing of the drift reaches the load where the
-poses' times are uncorrelated with u, sum_i (t_i - mean t) u_i = 0. R^2, the share of the times'
-variance that a regression on u explains, says how far that holds: a grid's serpentine, which goes
-from one end of one angle to the other, has nearly 1, a way there and back nearly 0. The order makes
-travel + weight R^2 small: first a short open way through all poses, every second one of them on the
-way there and the others on the way back, then 2-opt and moves of single poses (Lin, *Bell System
-Tech. J.* 44, 1965) until none is better.
+An arm of more than two revolute joints has no grid. Its candidates are spread evenly over a box
+around the present pose in which only the last joints before the sensor move, the fewest that do:
+two at first, one more where the poses' information, phi of directions all over the workspace over
+phi of theirs, is below `good_share`. A UR5 with its elbow up turns wrist 2 and 3, as does a Panda,
+by up to 1.2 rad: 0.8 of the information, and a tip 0.15 m from the sensor stays within 0.31 m.
+With 0.5 rad, as in a check, three joints have 0.37, within 0.18 m; all of them 0.76, within 0.74 m.
 """
 
 from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,10 +27,17 @@ from galen_model.arm.arm import Arm
 from galen_model.arm.clearance import ArmClearance, Box, ObstacleError
 from galen_model.arm.galen import GALEN
 from galen_model.arm.routes import Router
-from galen_model.arrays import Array
+from galen_model.arrays import Array, evenly_spread
 from galen_model.errors import GalenError, NotExcitedError
 from galen_model.load.identification import check_planned_poses
-from galen_model.poses.design import PoseDesign, PoseDesignError, angle_grid
+from galen_model.poses.design import (
+    MOST_GRID_JOINTS,
+    PoseDesign,
+    PoseDesignError,
+    angle_grid,
+    workspace,
+)
+from galen_model.poses.order import MOST_ORDERED, best_order
 
 # Rest-to-rest quintic s(x) = 10 x^3 - 15 x^4 + 6 x^5 over x = t/T in 0..1:
 # s' peaks at x = 1/2 with 15/8; s'' peaks at x = (3 -+ sqrt 3)/6 with 10/sqrt 3.
@@ -51,16 +57,19 @@ def quintic_duration_s(
     and s^2, positive. Peaks are 15/8 * d/T and 10/sqrt(3) * d/T^2.
     `shortest_s` keeps a move of no distance from being a step.
     """
-    distance = np.abs(np.asarray(displacement, float))
-    by_velocity = PEAK_VELOCITY * distance / np.asarray(max_velocity, float)
-    by_acceleration = np.sqrt(PEAK_ACCELERATION * distance / np.asarray(max_acceleration, float))
-    return float(max(np.max(by_velocity), np.max(by_acceleration), shortest_s))
+    moved = np.asarray(displacement, float)
+    return float(_durations_s(moved, max_velocity, max_acceleration, shortest_s))
 
 
-# So long a detour is taken for having no drift in the load instead of all of it, as a part of the
-# time that the poses themselves take.
-_DRIFT_WEIGHT = 2.0
-_BETTER = 1e-9
+def _durations_s(
+    displacements: Array, velocity: ArrayLike, acceleration: ArrayLike, shortest_s: float = 0.05
+) -> Array:
+    """Return durations (...), s, of displacements (..., n)."""
+    distance = np.abs(displacements)
+    by_velocity = PEAK_VELOCITY * distance / np.asarray(velocity, float)
+    by_acceleration = np.sqrt(PEAK_ACCELERATION * distance / np.asarray(acceleration, float))
+    longest = np.maximum(by_velocity, by_acceleration).max(axis=-1, initial=0.0)
+    return np.asarray(np.maximum(longest, shortest_s))
 
 
 class SweepTimes:
@@ -77,136 +86,47 @@ class SweepTimes:
     def table(self, poses: Array) -> Array:
         """Seconds (n + 1, n + 1) from each to each, home the last."""
         places = np.vstack([poses, self._home])
-        return np.array(
-            [[quintic_duration_s(b - a, *self._limits) for b in places] for a in places]
-        )
+        return _durations_s(places[:, None] - places, *self._limits)
 
     def at_s(self, poses: Array) -> Array:
         """Seconds (n,) from home until the stay at each pose is over, in this order."""
         places = np.vstack([self._home, poses])
-        legs = [quintic_duration_s(leg, *self._limits) for leg in np.diff(places, axis=0)]
-        return np.asarray(np.cumsum(np.array(legs) + self.stay_s))
+        legs = _durations_s(np.diff(places, axis=0), *self._limits)
+        return np.asarray(np.cumsum(legs + self.stay_s))
 
     def sweep_s(self, poses: Array) -> float:
         """Seconds of a sweep in this order, from home to home."""
         places = np.vstack([self._home, poses, self._home])
-        legs = [quintic_duration_s(leg, *self._limits) for leg in np.diff(places, axis=0)]
+        legs = _durations_s(np.diff(places, axis=0), *self._limits)
         return float(np.sum(legs)) + len(poses) * self.stay_s
 
 
-def drift_share(poses: Array, times_s: Array) -> float:
-    """R^2 (0 ... 1) of the poses' times (n,) on gravity's direction at angles (n, k), rad."""
-    return float(_explained(_directions(poses)[None], np.asarray(times_s, dtype=float)[None])[0])
-
-
-def order_poses(poses: Array, times: SweepTimes) -> Array:
-    """Return the angles (n, k), rad, in the order to visit them."""
-    count = len(poses)
-    if count < 3:
+def order_poses(poses: Array, times: SweepTimes, arm: Arm = GALEN) -> Array:
+    """Return the angles (n, k), rad, in the order to visit them; more than MOST_ORDERED stay."""
+    if not 3 <= len(poses) <= MOST_ORDERED:
         return poses
-    seconds = times.table(poses)
-    directions = _directions(poses)
-    weight = _DRIFT_WEIGHT * count * times.stay_s
-
-    def cost(orders: Array) -> Array:
-        legs = _legs(seconds, orders)
-        at = np.cumsum(legs[:, :-1] + times.stay_s, axis=1)
-        return np.asarray(legs.sum(axis=1) + weight * _explained(directions[orders], at))
-
-    short, _ = _improved(_nearest_first(seconds), lambda orders: _legs(seconds, orders).sum(axis=1))
-    there_and_back = np.concatenate([short[::2], short[1::2][::-1]])
-    ways = [_improved(start, cost) for start in (there_and_back, short)]
-    return np.asarray(poses)[min(ways, key=lambda way: way[1])[0]]
+    order = best_order(arm.gravity_in_sensor(poses), times.table(poses), times.stay_s)
+    return np.asarray(np.asarray(poses)[order])
 
 
-def _directions(poses: Array) -> Array:
-    gravity = GALEN.gravity_in_sensor(poses)
-    return gravity / np.linalg.norm(gravity, axis=1)[:, None]
+def sweep_grid(
+    tilts: tuple[float, float, int],
+    rolls: tuple[float, float, int],
+    lower: Sequence[float] | Array,
+    upper: Sequence[float] | Array,
+) -> Array:
+    """Return a grid's poses (n, 2) as (roll, tilt), rad, one roll after the other.
 
-
-def _explained(directions: Array, times: Array) -> Array:
-    """R^2 (k,) of times (k, n) on directions (k, n, 3)."""
-    centred = times - times.mean(axis=1, keepdims=True)
-    rows = directions - directions.mean(axis=1, keepdims=True)
-    # Poses in one plane leave the matrix singular; then any of its solutions will do.
-    matrix = np.swapaxes(rows, 1, 2) @ rows + 1e-9 * np.eye(3)
-    right = np.einsum("kni,kn->ki", rows, centred)
-    found = np.linalg.solve(matrix, right[..., None])[..., 0]
-    return np.asarray(np.sum(right * found, axis=1) / np.maximum(np.sum(centred**2, axis=1), 1e-12))
-
-
-def _legs(seconds: Array, orders: Array) -> Array:
-    """Seconds (k, n + 1) of each leg, from home and back to it, of orders (k, n)."""
-    home = np.full((len(orders), 1), len(seconds) - 1)
-    way = np.hstack([home, orders, home])
-    return np.asarray(seconds[way[:, :-1], way[:, 1:]])
-
-
-def _nearest_first(seconds: Array) -> Array:
-    left = list(range(len(seconds) - 1))
-    order: list[int] = []
-    at = len(left)
-    while left:
-        at = min(left, key=lambda k: seconds[at, k])
-        left.remove(at)
-        order.append(at)
-    return np.array(order)
-
-
-def _improved(order: Array, cost: Callable[[Array], Array]) -> tuple[Array, float]:
-    """Take the best of all 2-opt and single moves until none is better."""
-    moves = _moves(len(order))
-    value = float(cost(order[None])[0])
-    while True:
-        tried = order[moves]
-        costs = cost(tried)
-        best = int(np.argmin(costs))
-        if costs[best] >= value * (1.0 - _BETTER):
-            return order, value
-        order, value = tried[best], float(costs[best])
-
-
-def _moves(count: int) -> Array:
-    """Rearrangements (k, n) of places: each stretch turned round, each place moved elsewhere."""
-    places = list(range(count))
-    rows = []
-    for i in range(count):
-        rest = places[:i] + places[i + 1 :]
-        for j in range(count):
-            if i < j:
-                rows.append(places[:i] + places[i : j + 1][::-1] + places[j + 1 :])
-            if i != j:
-                rows.append([*rest[:j], i, *rest[j:]])
-    return np.array(rows)
-
-
-@dataclass(frozen=True)
-class SweepGrid:
-    """Start, end (both included, rad) and count of tilts and rolls; names as in the report."""
-
-    tstart: float
-    tend: float
-    itersT: int
-    rstart: float
-    rend: float
-    itersR: int
-
-    def poses(self, lower: tuple[float, float], upper: tuple[float, float]) -> Array:
-        """All poses as rows (roll, tilt) in rad, shape (itersT * itersR, 2), in visiting order.
-
-        `lower` and `upper` are the limits of (roll, tilt) in rad.
-        The order is a serpentine: the inner joint goes there and back while the outer one steps
-        on, so that no move is longer than one step of the grid. Travel is
-        outer range + outer count * inner range; the cheaper of both orders is taken.
-        Raises GalenError for a count below 1, a value that is not finite or outside the limits.
-        """
-        rolls = _axis("roll", "r", self.rstart, self.rend, self.itersR, lower[0], upper[0])
-        tilts = _axis("tilt", "t", self.tstart, self.tend, self.itersT, lower[1], upper[1])
-        roll_inside = np.ptp(tilts) + len(tilts) * np.ptp(rolls)
-        tilt_inside = np.ptp(rolls) + len(rolls) * np.ptp(tilts)
-        if tilt_inside <= roll_inside:
-            return _serpentine(rolls, tilts)
-        return _serpentine(tilts, rolls)[:, ::-1].copy()
+    tilts, rolls: start, end (both included, rad) and count of each. lower, upper: limits of (roll,
+    tilt), rad. Every second roll has its tilts backwards, so that more than MOST_ORDERED poses,
+    which stay in this order, need little travel.
+    Raises GalenError for a count below 1, a value that is not finite or outside the limits.
+    """
+    outer = _axis("roll", "r", *rolls, lower[0], upper[0])
+    inner = _axis("tilt", "t", *tilts, lower[1], upper[1])
+    grid = np.stack(np.meshgrid(outer, inner, indexing="ij"), axis=-1)
+    grid[1::2] = grid[1::2, ::-1].copy()
+    return np.asarray(grid.reshape(-1, 2))
 
 
 def _axis(
@@ -232,32 +152,32 @@ def _axis(
     return np.linspace(start, end, count)
 
 
-def _serpentine(outer: Array, inner: Array) -> Array:
-    rows = []
-    for k, value in enumerate(outer):
-        turned = inner if k % 2 == 0 else inner[::-1]
-        rows.append(np.column_stack([np.full(len(inner), value), turned]))
-    return np.vstack(rows)
-
-
 # Candidates over the sweep's range of angles. 187 are within 0.6 % of the best poses of a
 # continuum, up to some fifty (test_model_pose_design.py).
 CANDIDATES = (17, 11)
+SPREAD_CANDIDATES = 256
+"""Of an arm without a grid."""
 
 
 @dataclass(frozen=True)
 class Surroundings:
-    """Boxes around the arm, and how far from them to stay (m)."""
+    """Boxes around the arm, and how far from them to stay (m).
+
+    require_shapes: reject an arm whose links have no collision shapes that can be reached.
+    """
 
     boxes: tuple[Box, ...] = ()
     clearance_m: float = 0.0
+    require_shapes: bool = False
 
 
 @dataclass(frozen=True)
 class SweepRange:
     """Where a sweep may go: home (n,), and lowest and highest angles (k,), rad.
 
-    steps: candidates along each angle; `name`: what home is called where it can't be taken.
+    steps: candidates along each angle of a grid; `name`: what home is called where it can't be
+    taken; `remedy`: what to do where the poses of this range excite too little; good_share: of the
+    best information, which is enough to let more joints stay.
     """
 
     home: Array
@@ -266,24 +186,59 @@ class SweepRange:
     steps: tuple[int, ...] = CANDIDATES
     name: str = "home"
     arm: Arm = GALEN
+    remedy: str = ""
+    good_share: float = 0.6
+
+    @classmethod
+    def around(cls, here: Array, reach_rad: float, arm: Arm, **more: Any) -> SweepRange:
+        """Return the box within `reach_rad` of the joints `here` (n,) and the limits.
+
+        Where the arm stands near a limit the box is moved away from it, not made smaller.
+        """
+        low, high = arm.angles(arm.lower), arm.angles(arm.upper)
+        reach = np.minimum(reach_rad, (high - low) / 2.0)
+        centre = np.clip(arm.angles(here), low + reach, high - reach)
+        lower, upper = (tuple(edge.tolist()) for edge in (centre - reach, centre + reach))
+        return cls(here, lower, upper, name="the present pose", arm=arm, **more)
 
     @property
     def home_angles(self) -> Array:
         """Angles (k,) at home, rad."""
         return self.arm.angles(self.home)
 
-    def candidates(self) -> Array:
-        """Angles (m, k), rad, evenly over the range."""
-        grid = angle_grid(self.lower, self.upper, *self.steps)
-        return np.unique(grid, axis=0)  # a range of no width gives the same ones again
+    @property
+    def is_grid(self) -> bool:
+        """Whether candidates are a grid."""
+        return len(self.lower) <= MOST_GRID_JOINTS
+
+    @property
+    def moving(self) -> range:
+        """How many of the last revolute joints may move: fewest first."""
+        joints = len(self.lower)
+        return range(joints if self.is_grid else MOST_GRID_JOINTS, joints + 1)
+
+    def candidates(self, moving: int | None = None) -> Array:
+        """Angles (m, k), rad, evenly over the range; but the last `moving` joints stay at home."""
+        if self.is_grid:
+            wide = np.array(self.upper) > np.array(self.lower)
+            counts = np.where(wide, self.steps[: len(wide)], 1)
+            if wide.sum() == 1:  # as many along one angle as over two
+                counts = np.where(wide, np.prod(self.steps), 1)
+            return np.unique(angle_grid(self.lower, self.upper, *counts), axis=0)
+        first = len(self.lower) - (len(self.lower) if moving is None else moving)
+        lower, upper = np.array(self.lower)[first:], np.array(self.upper)[first:]
+        found = np.tile(self.home_angles, (SPREAD_CANDIDATES, 1))
+        found[:, first:] = lower + (upper - lower) * evenly_spread(len(found), len(lower))
+        return found
 
 
 @dataclass(frozen=True)
 class SweepPlan:
-    """Angles (n, k), rad, in visiting order, and the way around boxes where there are any."""
+    """Angles (n, k), rad, in visiting order, the free ways there, and what is to be known."""
 
     poses: Array
     router: Router | None = None
+    warnings: tuple[str, ...] = ()
 
 
 def plan_as_is(
@@ -295,7 +250,7 @@ def plan_as_is(
     source: str = "the grid",
     remedy: str = "clear the space, narrow the grid, or set poses to chosen",
 ) -> SweepPlan:
-    """Plan the poses of `source`; raises ObstacleError naming the first one in a box's way."""
+    """Plan the poses of `source`; raises ObstacleError naming the first one that can't be had."""
     router = make_router(where, surroundings, tip_m)
     if router is not None:
         for index, angles in enumerate(poses):
@@ -304,7 +259,7 @@ def plan_as_is(
                     f"pose {index} of {source} ({where.arm.described(angles)}) can't be visited:"
                     f" {fault}; {remedy}"
                 )
-    return SweepPlan(poses, router)
+    return SweepPlan(poses, router, _warnings(router))
 
 
 def plan_chosen(
@@ -318,39 +273,114 @@ def plan_chosen(
 ) -> SweepPlan:
     """Choose the `count` most informative poses that can be visited, in a good order.
 
-    Raises ObstacleError naming what is to blame where too few are left or they excite too little.
+    Raises ObstacleError naming what is to blame where too few are left, PoseDesignError and
+    NotExcitedError where they excite too little.
     """
     router = make_router(where, surroundings, tip_m)
-    candidates = where.candidates()
-    faults = [""] * len(candidates) if router is None else router.lattice_faults
-    free = candidates[[not fault for fault in faults]]
-    zero = where.home_angles
-    design = PoseDesign(free, one_sweep_zero=zero if one_sweep else None)
+    zero, arm = where.home_angles, where.arm
+    if not len(zero):
+        raise PoseDesignError("gravity is the same at all poses: the arm has no revolute joint")
+    candidates, faults = _best_candidates(count, where, router, zero if one_sweep else None)
     try:
-        poses = free[design.choose(count)]
-        check_planned_poses(poses, one_sweep=one_sweep, zero_angles=zero)
+        poses = _choose(count, where, router, candidates, faults, one_sweep)
+        check_planned_poses(poses, one_sweep=one_sweep, zero_angles=zero, arm=arm)
     except (PoseDesignError, NotExcitedError) as error:
-        if len(free) == len(candidates):
-            raise
-        raise ObstacleError(f"{error}; {_blame(faults)}") from error
-    return SweepPlan(order_poses(poses, times), router)
+        _check_arm(arm, zero, one_sweep)
+        remedy = f"; {where.remedy}" if where.remedy else ""
+        if not any(faults):
+            raise type(error)(f"{error}{remedy}") from error
+        raise ObstacleError(f"{error}; {_blame(faults)}{remedy}") from error
+    return SweepPlan(order_poses(poses, times, arm), router, _warnings(router))
+
+
+def _check_arm(arm: Arm, zero: Array, one_sweep: bool) -> None:
+    """Raise NotExcitedError where no poses within the arm's limits excite enough."""
+    try:
+        check_planned_poses(workspace(12, arm), one_sweep=one_sweep, zero_angles=zero, arm=arm)
+    except NotExcitedError as error:
+        raise NotExcitedError(
+            f"the revolute joints of the arm ({', '.join(arm.turning_names)}) turn gravity in the"
+            " sensor too little anywhere within their limits: mount the base so that an axis is"
+            f" across gravity; {error}"
+        ) from error
+
+
+def _best_candidates(
+    count: int, where: SweepRange, router: Router | None, zero: Array | None
+) -> tuple[Array, list[str]]:
+    """Return candidates with as few joints in motion as is good, and why some can't be taken."""
+    found: list[tuple[float, Array, list[str]]] = []
+    for moving in where.moving:
+        candidates = where.candidates(moving)
+        faults = [""] * len(candidates)
+        if router is not None and where.is_grid:
+            faults = router.lattice_faults
+        elif router is not None:
+            joints = where.arm.with_angles(candidates, where.home)
+            faults = [router.clearance.pose_fault(pose) for pose in joints]
+        if where.is_grid:
+            return candidates, faults
+        free = candidates[[not fault for fault in faults]]
+        design = PoseDesign(free, one_sweep_zero=zero, arm=where.arm)
+        value = np.inf if len(free) < count else design.value(free[design.first(count)])
+        found.append((value, candidates, faults))
+        if value * where.good_share <= design.best_value(count):
+            break
+    return min(found, key=lambda one: one[0])[1:]
+
+
+def _choose(
+    count: int,
+    where: SweepRange,
+    router: Router | None,
+    candidates: Array,
+    faults: list[str],
+    one_sweep: bool,
+) -> Array:
+    """Choose among the candidates without fault; notes in `faults` where no way leads."""
+    zero = where.home_angles if one_sweep else None
+    while True:
+        free = candidates[[not fault for fault in faults]]
+        design = PoseDesign(free, one_sweep_zero=zero, arm=where.arm)
+        poses = free[design.choose(count)]
+        if router is None or where.is_grid:  # whose faults are those of the ways as well
+            return poses
+        if not any(router.fault(joints) for joints in where.arm.with_angles(poses, where.home)):
+            return poses
+        # Some ways are blocked: look at all before choosing again.
+        for place, joints in enumerate(where.arm.with_angles(candidates, where.home)):
+            faults[place] = faults[place] or router.fault(joints)
 
 
 def make_router(where: SweepRange, surroundings: Surroundings, tip_m: Array) -> Router | None:
-    """Ways around the boxes for a tool with its tip at tip_m (3,), ft_sensor; None without boxes.
+    """Free ways for a tool with its tip at tip_m (3,) in the sensor; None where all are free.
 
-    Raises ObstacleError where the arm can't stand at home.
+    Raises ObstacleError where the arm can't stand at home, or required shapes can't be reached.
     """
-    if not surroundings.boxes:
+    arm = where.arm
+    if not surroundings.boxes and (arm.delta is not None or not arm.urdf):
         return None
-    clearance = ArmClearance(surroundings.boxes, surroundings.clearance_m, tip_m, where.arm)
-    return Router(clearance, where.home, where.candidates(), where.name)
+    clearance = ArmClearance(surroundings.boxes, surroundings.clearance_m, tip_m, arm, where.home)
+    if surroundings.require_shapes:
+        clearance.require_shapes()
+    # Ways of more joints, where they aren't straight, lead over home alone.
+    lattice = where.candidates() if where.is_grid else np.empty((0, len(where.lower)))
+    return Router(clearance, where.home, lattice, where.name)
+
+
+def _warnings(router: Router | None) -> tuple[str, ...]:
+    """Return which collisions are not checked."""
+    return () if router is None else router.clearance.warnings
 
 
 def left_out(faults: Sequence[str]) -> dict[str, int]:
-    """How many candidates each box, or the limits, takes away, by its name."""
-    names = (re.search(r"box \d+", fault) for fault in faults if fault)
-    return dict(Counter(name.group() if name else "the limits" for name in names).most_common())
+    """How many candidates each box, the arm itself, or the limits take away, by name."""
+    found = []
+    for fault in filter(None, faults):
+        box = re.search(r"box \d+", fault)
+        itself = "the arm itself" if " would be " in fault else "the limits"
+        found.append(box.group() if box else itself)
+    return dict(Counter(found).most_common())
 
 
 def _blame(faults: Sequence[str]) -> str:

@@ -1,6 +1,6 @@
 """The still phases of a recording, found in its cells: arm at rest, wrench steady.
 
-The arm is still in a cell in which neither angle leaves a narrow band, and whose angles are those
+The arm is still in a cell in which no angle leaves a narrow band, and whose angles are those
 of its neighbour. The wrench is steady from one cell to the next when their means differ by no more
 than `steady_sigmas` of what such differences scatter by in this recording (their median absolute
 deviation, at least the sensor's quantum): a hand that comes or goes ends a phase. A hand that
@@ -20,9 +20,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from galen_model.arm.galen import ENCODER_QUANTUM, GALEN, SENSOR
+from galen_model.arm.galen import SENSOR
 from galen_model.arrays import Array, runs
-from galen_model.rest.segments import allowed_travel
+from galen_model.rest.segments import ENCODER_STEP, allowed_travel
 
 CELL_S = 0.1
 
@@ -203,8 +203,7 @@ def _pieces(cells: Cells, rows: np.ndarray) -> Iterator[np.ndarray]:
 
 def _arm_still(cells: Cells) -> tuple[np.ndarray, np.ndarray]:
     """Cells (n,) in which the arm is at rest, and whether (n - 1,) each goes on in the next."""
-    quantum = GALEN.angles(ENCODER_QUANTUM)
-    band = allowed_travel(_MAX_RATE_RAD_S, cells.cell_s, quantum, steps=2.0)
+    band = allowed_travel(_MAX_RATE_RAD_S, cells.cell_s, ENCODER_STEP[1], steps=2.0)
     still = np.all(cells.spans <= band, axis=1)
     near = np.all(np.abs(np.diff(cells.angles, axis=0)) <= band, axis=1)
     gap = cells.start_ns[1:] - cells.end_ns[:-1]

@@ -27,14 +27,15 @@ turns slower than a limit, but for a rim at both ends, where the arm still rings
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import ENCODER_QUANTUM, GALEN, SENSOR, WRENCH_AXES
+from galen_model.arm.galen import GALEN, SENSOR, WRENCH_AXES
 from galen_model.arrays import Array, runs
 
 
@@ -47,22 +48,22 @@ def allowed_travel(max_speed: Any, window_s: float, quantum: Any, steps: float =
 
 
 _NS = 1_000_000_000
-
-
-def _default_speeds() -> Array:
-    return np.array([5e-4] * 3 + [2e-3] * 2)
+_SPEED = (5e-4, 2e-3)  # m/s, rad/s
+ENCODER_STEP = (5e-6, 5e-5)
+"""Of prismatic joints, m, and of revolute ones, rad."""
 
 
 @dataclass(frozen=True)
 class JointRest:
-    """When the arm is at rest. Joints in the joint vector's order, m and rad.
+    """When the arm is at rest. Joints in the arm's order, m and rad.
 
-    max_speed (5,): m/s and rad/s, over `window_s`; a segment shorter than `min_duration_s` is none;
+    max_speed (n,): m/s and rad/s, over `window_s`; quantum (n,): of the encoders; None: what is
+    usual of prismatic and revolute joints. A segment shorter than `min_duration_s` is none;
     a step of the stamps backward or longer than `max_stamp_step_s` ends a segment.
     """
 
-    max_speed: Array = field(default_factory=_default_speeds)
-    quantum: Array = field(default_factory=lambda: ENCODER_QUANTUM)
+    max_speed: Array | None = None
+    quantum: Array | None = None
     window_s: float = 0.1
     min_duration_s: float = 0.5
     max_stamp_step_s: float = 0.25
@@ -78,18 +79,23 @@ class DirectionRest:
 
 
 def rest_by_joints(
-    stamp_ns: np.ndarray, joints: Array, settings: JointRest | None = None
+    stamp_ns: np.ndarray,
+    joints: Array,
+    settings: JointRest | None = None,
+    arm: Arm = GALEN,
 ) -> list[slice]:
     """Return the rows of each rest segment, in order.
 
-    stamp_ns (n,) in the order received; joints (n, 5), m and rad. A row that is not finite counts
-    as motion; a joint of which no row is finite does not count. Inside a segment the stamps never
-    go back, and where they repeat, the rows belong to it all the same.
+    stamp_ns (n,) in the order received; joints (n, d) of the arm, m and rad. A row that is not
+    finite counts as motion; a joint of which no row is finite does not count. Inside a segment the
+    stamps never go back, and where they repeat, the rows belong to it all the same.
     """
     settings = settings or JointRest()
-    known = np.isfinite(joints).any(axis=0) if len(joints) else np.zeros(5, dtype=bool)
+    known = np.isfinite(joints).any(axis=0)
     if len(stamp_ns) < 2 or not known.any():
         return []
+    max_speed = arm.by_unit(*_SPEED) if settings.max_speed is None else settings.max_speed
+    quantum = arm.by_unit(*ENCODER_STEP) if settings.quantum is None else settings.quantum
     block_ns = max(1, round(settings.window_s * _NS / 2))
     step_ns = np.diff(stamp_ns)
     jumps = (step_ns < 0) | (step_ns > round(settings.max_stamp_step_s * _NS))
@@ -98,7 +104,7 @@ def rest_by_joints(
     low = np.minimum.reduceat(joints[:, known], starts, axis=0)
     high = np.maximum.reduceat(joints[:, known], starts, axis=0)
     span = np.maximum(high[1:], high[:-1]) - np.minimum(low[1:], low[:-1])
-    allowed = allowed_travel(settings.max_speed, settings.window_s, settings.quantum)
+    allowed = allowed_travel(max_speed, settings.window_s, quantum)
     at_rest = joined & np.all(span <= allowed[known], axis=1)  # of a block and its next one
 
     ends = np.concatenate([starts[1:], [len(stamp_ns)]])
@@ -153,6 +159,8 @@ class PoseRecord:
     wrench_std: Array  # (6,) of one sample, at least the quantum's
     half_difference: Array  # (6,) mean of the second half less that of the first
     samples: int
+    stamp_ns: int = 0  # middle of the window
+    temperature_c: float = math.nan  # of the sensor, where it is known
 
     @property
     def std_of_mean(self) -> Array:
@@ -161,8 +169,8 @@ class PoseRecord:
         return std
 
 
-def average_pose(joints: Array, wrenches: Array) -> PoseRecord:
-    """Average joint states (m, n) and wrenches (n, 6); n >= 4.
+def average_pose(joints: Array, wrenches: Array, stamp_ns: int = 0) -> PoseRecord:
+    """Average joint states (m, n) and wrenches (n, 6), n >= 4, around `stamp_ns`.
 
     The std is never less than that of rounding to the sensor's quantum (quantum / sqrt 12), so
     that a reading that sits on one step isn't taken for one without error.
@@ -176,6 +184,7 @@ def average_pose(joints: Array, wrenches: Array) -> PoseRecord:
         wrench_std=np.maximum(wrenches.std(axis=0, ddof=1), rounding),
         half_difference=wrenches[-half:].mean(axis=0) - wrenches[:half].mean(axis=0),
         samples=len(wrenches),
+        stamp_ns=stamp_ns,
     )
 
 

@@ -24,18 +24,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from galen_model.arm.galen import ENCODER_QUANTUM, GALEN, SENSOR
+from galen_model.arm.galen import SENSOR
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_ppf
-from galen_model.rest.segments import allowed_travel
+from galen_model.rest.segments import ENCODER_STEP, allowed_travel
 
 WINDOW_S = 0.5
 _RIM_S = 0.3
 _GAP_S = 0.25
 _MAX_RATE_RAD_S = 1e-3
-_BAND_RAD = float(
-    allowed_travel(_MAX_RATE_RAD_S, WINDOW_S, GALEN.angles(ENCODER_QUANTUM).max(), steps=2.0)
-)
+_BAND_RAD = float(allowed_travel(_MAX_RATE_RAD_S, WINDOW_S, ENCODER_STEP[1], steps=2.0))
 _CELLS = 5
 _FEWEST_SAMPLES = 4 * _CELLS
 _REMEMBERED = 200

@@ -168,6 +168,7 @@ class ArrivalMonitor:
                 f"{names[k]} reports {position[k]}" for k in np.flatnonzero(~np.isfinite(position))
             ]
         if self._target is not None:
+            position = self._settings.arm.nearest(position, self._target)
             away = np.abs(position - self._target) > self._settings.position_tolerance
             faults += [
                 f"{names[k]} did not reach {self._target[k]:.4f} {units[k]}:"
@@ -188,6 +189,7 @@ class ArrivalMonitor:
             median: Array = np.median(np.abs(np.array(velocities)), axis=0)
             return median
         positions = np.array([sample[1] for sample in self._recent])
+        positions = self._settings.arm.nearest(positions, positions[0])
         span: Array = np.ptp(positions, axis=0) / (span_ns / NS)
         return span
 
@@ -213,10 +215,10 @@ class PoseRecorder:
         arrival: ArrivalSettings,
         stillness: StillnessSettings,
         average_s: float,
-        target: Array,
+        target: Array | None,
         allowance_s: float,
     ) -> None:
-        """`target` (n,) in m and rad; `allowance_s` for arriving, stopping and settling."""
+        """`target` (n,) in m and rad, None: anywhere; `allowance_s` to arrive, stop and settle."""
         self._arm = arrival.arm
         self._stillness = stillness
         self._average_ns = round(average_s * NS)
@@ -296,6 +298,7 @@ class PoseRecorder:
         self.result = self._judge()
 
     def _judge(self) -> PoseRecord | PoseRejection:
+        assert self._window is not None
         joints, _ = self._inside(self._joints)
         wrenches, wrench_stamps = self._inside(self._wrenches)
         needed = self._stillness.min_samples
@@ -315,8 +318,9 @@ class PoseRecorder:
             if len(bad):
                 listed = ", ".join(names[k] for k in bad)
                 return PoseRejection(f"{topic}: {listed} not finite", not_finite=True)
-        record = average_pose(joints, wrenches)
-        moved = joint_motion_fault(record, self._stillness)
+        middle_ns = sum(self._window) // 2
+        record = average_pose(self._arm.nearest(joints, joints[0]), wrenches, middle_ns)
+        moved = joint_motion_fault(record, self._stillness, self._arm)
         return PoseRejection(moved) if moved else record
 
     def _inside(self, samples: list[tuple[int, Array]]) -> tuple[Array, Array]:

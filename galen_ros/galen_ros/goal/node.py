@@ -8,10 +8,11 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from enum import IntEnum
 from functools import partial
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from galen_model.arm.arm import Arm
+from galen_model.arrays import Array
 from galen_model.errors import GalenError, one_line
 from geometry_msgs.msg import WrenchStamped
 from rclpy.action import CancelResponse, GoalResponse
@@ -22,19 +23,24 @@ from rclpy.node import Node
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 
-from galen_ros.cdr import JointWire, WrenchWire
+from galen_ros.arm import ArmParameters, other_arm
+from galen_ros.cdr import JointStateError, JointWire, WrenchWire
 from galen_ros.goal.arm_link import DISCOVERY_S, ArmPublisher, PublisherWatch
 from galen_ros.goal.parameters import MotionParameters
 from galen_ros.goal.procedure import End, GoalProcedure, MoveTo, Stop
 from galen_ros.messages import STREAM
 from galen_ros.node.diagnostics import ERROR, OK, WARN, DiagnosticsPublisher, Status
-from galen_ros.node.parameters import declare_parameters
-from galen_ros.rclpy_workarounds import DeferredActionServer
+from galen_ros.node.parameters import Held, declare_parameters
+from galen_ros.node.robot_description import ArmSource
+from galen_ros.rclpy_workarounds import BackgroundJobs, DeferredActionServer
 
 _TICK_S = 0.1
+_NEWEST_S = 0.1
 # The publishers of the topics are looked up this often.
 _TICKS_PER_GRAPH_CHECK = 10
 _LONGEST_NAME = 80
+
+T = TypeVar("T")
 
 
 class RejectedGoalError(Exception):
@@ -63,6 +69,12 @@ class RunningGoal:
         self.wrenches = WrenchWire()
         self.subscriptions: list[Subscription] = []
         self.publishers: PublisherWatch | None = None
+        self.exclusive: PublisherWatch | None = None
+        """Of the topics that may have one publisher alone; joints of a gripper come beside."""
+        self.joints_heard_s = time.monotonic()
+        self.newest: tuple[Array, Array | None] | None = None
+        """Joints and velocities (n,) as they came at `joints_heard_s`."""
+        self.moved = False
         self.preflight_s: float | None = 0.0
         self.ticks = 0
 
@@ -165,18 +177,52 @@ class GoalNode(Node):
         **kwargs: Any,
     ) -> None:
         super().__init__(name, **kwargs)
-        self.settings: Any = declare_parameters(self, parameters)
         self.status_values: dict[str, object] = {}
         """What /diagnostics has beside the state; such as the folders that it works in."""
         self._goal: RunningGoal | None = None
         self._over: list[RunningGoal] = []
-        self._rejected = ""
+        self._rejected = self._closing = ""
         self._last = "no goal yet"
         self._last_failed = False
+        self._unusable = ""
+        """Why there is no arm to work with; empty where there is, or none came yet."""
 
-        self.arm: Arm = self.settings.arm
-        self._arm = ArmPublisher(self, self.arm)
-        self._servers = {}
+        self._servers: dict[ArmAction, DeferredActionServer] = {}
+        self._other_server = ""
+        self._diagnostics = DiagnosticsPublisher(self, "galen", self._report_status)
+        self._source = ArmSource(
+            self,
+            Held(self, ArmParameters),
+            partial(self._on_description, parameters, actions),
+            "start the node again to take it",
+        )
+        if self._source.waiting:
+            self.get_logger().info(self._source.waiting)
+        else:
+            self._begin(self._source.take(), parameters, actions)
+
+    def _on_description(
+        self, parameters: type[MotionParameters], actions: Sequence[type[ArmAction]]
+    ) -> None:
+        if not self._servers:
+            try:
+                arm = self._source.take()
+            except GalenError as error:
+                self._unusable = str(error)
+                self.get_logger().error(self._unusable)
+            else:
+                self._begin(arm, parameters, actions)
+        self._diagnostics.publish_now()
+
+    def _begin(
+        self, arm: Arm, parameters: type[MotionParameters], actions: Sequence[type[ArmAction]]
+    ) -> None:
+        """Offer the actions, now that the arm is known."""
+        self.arm = arm
+        self.settings: Any = declare_parameters(self, parameters, arm=arm)
+        self._set_up()
+        self._background = BackgroundJobs(self)
+        self._arm = ArmPublisher(self, self.arm, self._on_motion_failed)
         status = []
         for kind in actions:
             action = kind(self)
@@ -191,10 +237,11 @@ class GoalNode(Node):
             # Each server of an action publishes this.
             status.append(f"{self.resolve_service_name(action.name)}/_action/status")
         self._status_topics = PublisherWatch(self, status)
-        self._other_server = ""
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_TICK_S, self._on_tick, clock=self._steady)
-        self._diagnostics = DiagnosticsPublisher(self, "galen", self._report_status)
+
+    def _set_up(self) -> None:
+        """Do what a node needs beside its actions, once arm and settings are known."""
 
     @property
     def goal(self) -> RunningGoal | None:
@@ -205,14 +252,18 @@ class GoalNode(Node):
         """Stop the arm if a goal runs, then go."""
         goal, self._goal = self._goal, None
         if goal is not None:
-            self.get_logger().warning("shutting down: stopping the arm")
-            self._arm.stop_and_wait()
+            if goal.procedure.holds_arm:
+                self.get_logger().warning("shutting down: stopping the arm")
+                self._closing = "the node is shutting down"
+                self._arm.stop_and_wait(self._rest(goal))
             action = goal.action
             canceled = action.make_end(action.codes["CANCELED"], "the node was shut down", goal)
             action.put_away(goal, canceled)
             goal.handle.abort()
         for server in self._servers.values():
             server.destroy()
+        if self._servers:
+            self._background.close()
         super().destroy_node()
 
     # ---- the action
@@ -220,7 +271,7 @@ class GoalNode(Node):
     def _on_goal(self, action: ArmAction, request: Any) -> GoalResponse:
         """Reject a second goal; an action's rejection carries no text, so /diagnostics does."""
         self._look_for_servers()
-        why = self._other_server or self._busy_text() or action.rejection(request)
+        why = self._closing or self._other_server or self._busy_text() or action.rejection(request)
         if not why:
             return GoalResponse.ACCEPT
         subject = action.subject_of(request)
@@ -265,7 +316,10 @@ class GoalNode(Node):
         self._rejected = ""
         goal.subscriptions = action.subscribe(goal)
         heard = [subscription.topic_name for subscription in goal.subscriptions]
-        goal.publishers = PublisherWatch(self, [*heard, *action.also_watched()])
+        watched = [*heard, *action.also_watched()]
+        goal.publishers = PublisherWatch(self, watched)
+        joints = self.resolve_topic_name("joint_states")
+        goal.exclusive = PublisherWatch(self, [topic for topic in watched if topic != joints])
         name = action.subject_of(handle.request)
         self.get_logger().info(f"{action.doing} {name!r}: {action.introduce(goal)}")
         self._diagnostics.publish_now()
@@ -274,7 +328,8 @@ class GoalNode(Node):
         goal = self._goal
         if goal is None or goal.handle.goal_id != handle.goal_id:
             return CancelResponse.REJECT
-        self.get_logger().info("canceled: stopping the arm")
+        stops = ": stopping the arm" if goal.procedure.holds_arm else ""
+        self.get_logger().info(f"canceled{stops}")
         self.feed(goal.procedure.cancel)
         return CancelResponse.ACCEPT
 
@@ -306,11 +361,18 @@ class GoalNode(Node):
             return
         try:
             stamp_ns, position, velocity = goal.joints.read_motion(data)
+        except JointStateError as error:
+            # Another node's joints, such as a gripper's, may come beside the arm's.
+            if time.monotonic() - goal.joints_heard_s > self.settings.silent_timeout_s:
+                self._fail(goal, "BAD_INPUT", f"joint_states: {error}{other_arm(self.arm)}")
+            return
         except GalenError as error:
             self._fail(goal, "BAD_INPUT", f"joint_states: {error}")
             return
-        speed = None if velocity is None else np.array(velocity)
-        self.feed(goal.procedure.on_joints, stamp_ns, np.array(position), speed)
+        goal.joints_heard_s = time.monotonic()
+        joints, speed = np.array(position), None if velocity is None else np.array(velocity)
+        goal.newest = joints, speed
+        self.feed(goal.procedure.on_joints, stamp_ns, joints, speed)
 
     def on_wrench(self, data: bytes) -> None:
         """Hand a wrench, serialised, to the goal."""
@@ -329,9 +391,13 @@ class GoalNode(Node):
             return
         self.feed(goal.procedure.on_wrench, raw.stamp_ns, np.array(raw.wrench))
 
+    def _on_motion_failed(self, text: str) -> None:
+        if self._goal is not None:
+            self._fail(self._goal, "MOTION_TIMEOUT", text)
+
     def _on_other_command(self, text: str) -> None:
         """End: two that command one arm are a danger, and no pose is where it was sent."""
-        if self._goal is not None:
+        if self._goal is not None and self._goal.procedure.needs_arm:
             self._look_for_servers()
             self._fail(self._goal, "BAD_INPUT", self._other_server or text)
 
@@ -343,7 +409,8 @@ class GoalNode(Node):
         goal = self._goal
         if goal is None:
             return
-        if goal.ticks % _TICKS_PER_GRAPH_CHECK == 0 or goal.preflight_s is not None:
+        look = goal.ticks % _TICKS_PER_GRAPH_CHECK == 0 or goal.preflight_s is not None
+        if look and goal.procedure.needs_arm:
             self.feed(self._check_publishers, goal)
         goal.ticks += 1
         if self._goal is goal and goal.preflight_s is not None:
@@ -363,7 +430,8 @@ class GoalNode(Node):
         if missing is None:
             goal.preflight_s = None
             # Not before: this node's own subscription would count as a listener.
-            goal.subscriptions.append(self._arm.hear_others(self._on_other_command))
+            if goal.procedure.moves:
+                goal.subscriptions.append(self._arm.hear_others(self._on_other_command))
             goal.procedure.start()
             return
         assert goal.preflight_s is not None
@@ -384,7 +452,7 @@ class GoalNode(Node):
         ]
         if absent:
             return codes["SERVICE_FAILED"], f"no server of the service {' and '.join(absent)}"
-        if not self._arm.has_listener:
+        if goal.procedure.moves and not self._arm.has_listener:
             return (
                 codes["DRIVER_SILENT"],
                 f"no subscriber on {self._arm.topic_name}: is the driver running?",
@@ -393,10 +461,10 @@ class GoalNode(Node):
 
     def _check_publishers(self, goal: RunningGoal) -> None:
         """End when a topic has two publishers, or another than before."""
-        assert goal.publishers is not None
-        if several := goal.publishers.several():
+        assert goal.exclusive is not None
+        if several := goal.exclusive.several():
             goal.procedure.fail(goal.action.codes["BAD_INPUT"], several)
-        elif changed := goal.publishers.changed():
+        elif changed := goal.exclusive.changed():
             action = goal.action
             goal.procedure.fail(action.codes["DRIVER_SILENT"], f"{changed}: {action.restarted}")
 
@@ -410,6 +478,24 @@ class GoalNode(Node):
                 answered(future.result())
 
         client.call_async(request).add_done_callback(on_answer)
+
+    def work(self, goal: RunningGoal, job: Callable[[], T], done: Callable[[T], None]) -> None:
+        """Run `job` in a thread beside the executor, then `done(its result)` in the executor's.
+
+        Nothing is done with the result of a goal that is over; an exception ends the goal.
+        """
+
+        def attempt() -> Callable[[], None]:
+            try:
+                return partial(done, job())
+            except Exception as error:
+                return partial(_raise, error)
+
+        def take(end: Callable[[], None]) -> None:
+            if self._goal is goal:
+                self.feed(end)
+
+        self._background.submit(attempt, take, lambda: None)
 
     # ---- commands
 
@@ -428,23 +514,39 @@ class GoalNode(Node):
             self.get_logger().error(traceback.format_exc())
             if goal is None or self._goal is not goal:
                 return
-            self._arm.stop()
+            if goal.procedure.holds_arm:
+                self._arm.stop(self._rest(goal))
             self._end(goal, _internal(goal.action, error, goal))
 
     def _obey(self, goal: RunningGoal, command: Any) -> None:
         match command:
             case MoveTo():
+                goal.moved = True
                 self._arm.move(command)
             case Stop():
-                self._arm.stop()
+                self._arm.stop(self._rest(goal))
             case End():
                 self._end(goal, command)
             case _:
                 goal.action.obey(goal, command)
 
+    def _rest(self, goal: RunningGoal) -> MoveTo | None:
+        """Where the arm comes to rest if it brakes now; None where unknown, or it wasn't sent."""
+        if goal.newest is None or not goal.moved:
+            return None
+        joints, velocity = goal.newest
+        # An arm must not be sent back to where it was when its driver fell silent.
+        silent_s = time.monotonic() - goal.joints_heard_s
+        if silent_s > _NEWEST_S or not np.all(np.isfinite(joints)):
+            return None
+        return MoveTo(*self.settings.braking(joints, velocity))
+
     # ---- diagnostics
 
     def _report_status(self) -> Status:
+        if not self._servers:
+            text = self._unusable or self._source.waiting
+            return Status(ERROR if self._unusable else WARN, text, {"state": "waiting"})
         values = self.status_values | {"last": self._last}
         if self._rejected:
             values["rejected"] = self._rejected
@@ -455,7 +557,9 @@ class GoalNode(Node):
             return Status(level, self._other_server, {"state": state} | values)
         if goal is None:
             level, state = (WARN, "failed") if self._last_failed else (OK, "ready")
-            return Status(level, f"ready; {self._last}", {"state": state} | values)
+            trouble = self._source.trouble
+            text = f"{trouble}; {self._last}" if trouble else f"ready; {self._last}"
+            return Status(WARN if trouble else level, text, {"state": state} | values)
         action = goal.action
         done, total = goal.procedure.progress
         name, state = action.subject_of(goal.handle.request), goal.procedure.state.name
@@ -467,6 +571,10 @@ class GoalNode(Node):
             f"{action.status_remark(goal)}",
             values,
         )
+
+
+def _raise(error: Exception) -> None:
+    raise error
 
 
 def _internal(action: ArmAction, error: Exception, goal: RunningGoal | None) -> End:

@@ -14,6 +14,9 @@ from galen_model.rest.segments import StillnessSettings
 from galen_ros.goal.arrival import ArrivalSettings
 from galen_ros.parameters import param
 
+# The arm moves on while the message is under way; and no stop takes for ever.
+_SHORTEST_STOP_S, _LONGEST_STOP_S = 0.1, 2.0
+
 
 @dataclass(frozen=True)
 class MotionParameters:
@@ -53,6 +56,12 @@ class MotionParameters:
         0.05, "a longer step of the stamps, or one backward, is a jump", 0.001, 10.0
     )
 
+    require_collision_shapes: bool = param(
+        True,
+        "whether to reject a goal where collision shapes of the description's links are missing or"
+        " not reachable; if not, the arm is not kept from hitting itself there",
+    )
+
     silent_timeout_s: float = param(
         2.0, "a driver silent for this long, by the wall clock, ends it", 0.2, 600.0
     )
@@ -65,17 +74,14 @@ class MotionParameters:
 
     arm: Arm = field(default=GALEN, repr=False, compare=False)
 
-    def _by_joint(self, metres: float, radians: float) -> Array:
-        return np.array([metres if unit == "m" else radians for unit in self.arm.units])
-
     @property
     def arrival(self) -> ArrivalSettings:
         """When the arm has arrived, each joint with its own unit's number."""
         return ArrivalSettings(
-            position_tolerance=self._by_joint(
+            position_tolerance=self.arm.by_unit(
                 self.position_tolerance_m, self.position_tolerance_rad
             ),
-            velocity_tolerance=self._by_joint(
+            velocity_tolerance=self.arm.by_unit(
                 self.velocity_tolerance_m_s, self.velocity_tolerance_rad_s
             ),
             velocity_window_s=self.velocity_window_s,
@@ -86,13 +92,32 @@ class MotionParameters:
 
     @property
     def max_velocity(self) -> Array:
-        """Of each joint (n,), m/s or rad/s."""
-        return self._by_joint(self.max_delta_velocity_m_s, self.max_angle_velocity_rad_s)
+        """Of each joint (n,), m/s or rad/s, no more than its description allows."""
+        wanted = self.arm.by_unit(self.max_delta_velocity_m_s, self.max_angle_velocity_rad_s)
+        return np.minimum(wanted, [joint.max_velocity for joint in self.arm.joints])
 
     @property
     def max_acceleration(self) -> Array:
         """Of each joint (n,), m/s^2 or rad/s^2."""
-        return self._by_joint(self.max_delta_acceleration_m_s2, self.max_angle_acceleration_rad_s2)
+        return self.arm.by_unit(
+            self.max_delta_acceleration_m_s2, self.max_angle_acceleration_rad_s2
+        )
+
+    def braking(self, joints: Array, velocity: Array | None) -> tuple[Array, float]:
+        """Return where the arm comes to rest if it brakes now (n,), and after how long, s.
+
+        joints, velocity (n,): as measured; with None it comes back to where it was measured. The
+        quintic to rest over v T / 2 accelerates by 1.5 v / T at most, the one back by 3.94 v / T.
+        """
+        most = self.max_velocity
+        if velocity is None or not np.all(np.isfinite(velocity)):
+            speed, way, factor = most, 0.0, 3.94
+        else:
+            speed, way, factor = np.clip(velocity, -most, most), 0.5, 1.5
+        needed_s = factor * float(np.max(np.abs(speed) / self.max_acceleration))
+        duration_s = min(max(needed_s, _SHORTEST_STOP_S), _LONGEST_STOP_S)
+        rest = joints + way * duration_s * speed
+        return np.clip(rest, self.arm.lower, self.arm.upper), duration_s
 
 
 @dataclass(frozen=True)
@@ -127,7 +152,7 @@ class PoseParameters(MotionParameters):
     def stillness(self) -> StillnessSettings:
         """When a pose was still, each joint with its own unit's number."""
         return StillnessSettings(
-            joint_motion=self._by_joint(self.joint_motion_m, self.joint_motion_rad),
+            joint_motion=self.arm.by_unit(self.joint_motion_m, self.joint_motion_rad),
             scatter_ratio=self.max_scatter_ratio,
             trend_sigmas=self.max_trend_sigmas,
             min_samples=self.min_samples,

@@ -31,6 +31,8 @@ from galen_ros.goal.arrival import (
 )
 from galen_ros.goal.parameters import MotionParameters, PoseParameters
 
+OnRecord = Callable[[PoseRecord | PoseRejection], None]
+
 JOINTS = "joint_states"
 # A tick of the wall clock counts at most this much towards a silence: a process that was itself
 # held up for seconds has the samples still waiting in its queues.
@@ -104,6 +106,8 @@ class GoalProcedure(ABC):
     codes: ClassVar[type[IntEnum]]
     """The action's error codes, by the names that all actions here have in common."""
     wrench_topic: ClassVar[str]
+    moves: ClassVar[bool] = True
+    """Whether it commands the arm; else an operator moves it."""
 
     def __init__(self, settings: MotionParameters, state: IntEnum) -> None:
         """`state` is the first one."""
@@ -113,6 +117,7 @@ class GoalProcedure(ABC):
         self._arrival: ArrivalMonitor | None = None
         self._then: Callable[[], None] | None = None
         self._joints: Array | None = None
+        self._checked_from: Array | None = None
         self._stamps: dict[str, int] = {}
         self._silences = (_Silence(JOINTS), _Silence(self.wrench_topic))
         self._wall_s: float | None = None
@@ -120,6 +125,8 @@ class GoalProcedure(ABC):
         self._waiting_for = ""
         self._started = self._under_way = self._finished = False
         self._ending: Any = None
+        self.needs_arm = True
+        """False at its end, while it only computes: nothing on the arm matters to it any more."""
 
     @property
     def state(self) -> IntEnum:
@@ -135,6 +142,11 @@ class GoalProcedure(ABC):
     def ending(self) -> bool:
         """Whether it is over, or only waits for the arm to stop."""
         return self._finished or self._ending is not None
+
+    @property
+    def holds_arm(self) -> bool:
+        """Whether the arm has to be stopped where it ends now."""
+        return self.moves and self.needs_arm
 
     @property
     @abstractmethod
@@ -225,7 +237,7 @@ class GoalProcedure(ABC):
                 self._finish("the arm was not seen to stop")
             return
         silent = [s for s in self._silences if s.silent_s >= settings.silent_timeout_s]
-        if silent:
+        if silent and self.needs_arm:
             self.fail(self.codes["DRIVER_SILENT"], "; ".join(s.complaint() for s in silent))
         elif (
             not self._under_way
@@ -252,8 +264,9 @@ class GoalProcedure(ABC):
         self._drop_watches()
         self._waiting_for = ""
         self._waited_s = 0.0
-        self._commands.append(Stop())
-        if code == self.codes["DRIVER_SILENT"] or not self._under_way:
+        if self.holds_arm:
+            self._commands.append(Stop())
+        if code == self.codes["DRIVER_SILENT"] or not (self._under_way and self.holds_arm):
             self._finish("")
             return
         # To stand still is enough: nothing is measured that would need it settled.
@@ -307,10 +320,13 @@ class GoalProcedure(ABC):
             )
             self.fail(self.codes["BAD_INPUT"], f"{JOINTS}: {bad}")
             return 0.0
+        # An endless joint goes the way that was checked, else the shorter way round.
+        start = target if self._checked_from is None else self._checked_from
+        here = self._settings.arm.nearest(self._joints, start)
         duration = quintic_duration_s(
-            target - self._joints, self._settings.max_velocity, self._settings.max_acceleration
+            target - here, self._settings.max_velocity, self._settings.max_acceleration
         )
-        self._commands.append(MoveTo(target, duration))
+        self._commands.append(MoveTo(target + (self._joints - here), duration))
         return duration
 
     def _allowance(self, duration_s: float) -> float:
@@ -356,7 +372,7 @@ class PoseProcedure(GoalProcedure):
         self._router: Router | None = None
         self._ordered: Array | None = None
         self._recorder: PoseRecorder | None = None
-        self._on_record: Callable[[PoseRecord | PoseRejection], None] | None = None
+        self._on_record: OnRecord | None = None
         self._jumps = 0
         self._last_jump = ""
 
@@ -386,9 +402,7 @@ class PoseProcedure(GoalProcedure):
             )
         super().fail(code, message)
 
-    def _record(
-        self, target: Array, duration_s: float, then: Callable[[PoseRecord | PoseRejection], None]
-    ) -> None:
+    def _record(self, target: Array, duration_s: float, then: OnRecord) -> None:
         if self.ending:
             return
         self._recorder = PoseRecorder(
@@ -414,9 +428,12 @@ class PoseProcedure(GoalProcedure):
 
     def _move(self, target: Array) -> float:
         self._ordered = target
-        return super()._move(target)
+        duration = super()._move(target)
+        if self._checked_from is not None:
+            self._checked_from = target
+        return duration
 
-    def _visit(self, target: Array, then: Callable[[PoseRecord | PoseRejection], None]) -> None:
+    def _visit(self, target: Array, then: OnRecord) -> None:
         self._on_the_way(target, lambda: self._record(target, self._move(target), then))
 
     def _on_the_way(self, target: Array, then: Callable[[], None]) -> None:
@@ -429,16 +446,18 @@ class PoseProcedure(GoalProcedure):
         # the place itself.
         near = self._settings.arrival.position_tolerance
         sent = self._ordered
-        start = sent if sent is not None and np.all(np.abs(joints - sent) <= near) else joints
+        arm = self._settings.arm
+        is_there = sent is not None and np.all(np.abs(arm.nearest(joints, sent) - sent) <= near)
+        start = arm.nearest(sent if sent is not None and is_there else joints, target)
         try:
             way = router.route(start, target)
         except ObstacleError as error:
-            arm = self._settings.arm
             self.fail(
                 self.codes["BAD_INPUT"],
                 f"no way to {arm.described(arm.angles(target))}: {error}",
             )
             return
+        self._checked_from = start
         self._follow(way[:-1], then)
 
     def _follow(self, way: list[Array], then: Callable[[], None]) -> None:

@@ -100,6 +100,10 @@ class ManagedNode(LifecycleNode):
     def _report(self) -> Status:
         """Return the state for /diagnostics while the node is inactive or active."""
 
+    def _remark(self) -> str:
+        """Return a warning that /diagnostics shows in any state; empty for none."""
+        return ""
+
     # What it can use
 
     def start(self) -> None:
@@ -233,14 +237,14 @@ class ManagedNode(LifecycleNode):
     # State
 
     def _full_report(self) -> Status:
-        life = {"lifecycle": self._stage.value}
+        life, remark = {"lifecycle": self._stage.value}, self._remark()
         if self.configured:
             status = self._report()
-            return Status(status.level, status.message, life | dict(status.values))
-        text = _SAYS[self._stage]
-        if self._trouble:
-            return Status(ERROR, f"{self._trouble}; {text}", life)
-        return Status(WARN, text, life)
+            text = "; ".join(filter(None, (remark, status.message)))
+            level = max(status.level, WARN) if remark else status.level
+            return Status(level, text, life | dict(status.values))
+        text = "; ".join(filter(None, (self._trouble, remark, _SAYS[self._stage])))
+        return Status(ERROR if self._trouble else WARN, text, life)
 
     @property
     def inactive_text(self) -> str:

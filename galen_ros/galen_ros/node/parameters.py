@@ -22,15 +22,18 @@ T = TypeVar("T")
 _DECLARED_LATER = "qos_overrides."
 
 
-def declare_parameters(node: Node, cls: type[T], on_change: Callable[[T], None] | None = None) -> T:
+def declare_parameters(
+    node: Node, cls: type[T], on_change: Callable[[T], None] | None = None, **others: Any
+) -> T:
     """Declare every `param` field of `cls` on `node`; return an instance with the active values.
 
     An integer is accepted where a float is asked. The instance's `validate()` is called if it has
     one; it raises a GalenError (or ValueError) when values don't fit together. A value that can't
     be used raises `ParameterError` at start-up, and is rejected when set at run time.
     `on_change(new_instance)` is called after every accepted change of a `read_only=False` field.
+    `others`: values of the fields that are no parameters.
     """
-    return Held(node, cls, on_change).now
+    return Held(node, cls, on_change, **others).now
 
 
 class Held(Generic[T]):
@@ -42,12 +45,13 @@ class Held(Generic[T]):
         cls: type[T],
         on_change: Callable[[T], None] | None = None,
         why_fixed: Callable[[], str] | None = None,
+        **others: Any,
     ) -> None:
         """Declare them.
 
         While `why_fixed()` is empty, every field can be set and `on_change` is not called.
         Otherwise it is why the `read_only` ones can't be set, such as "while the node is active".
-        Without it these can never be set.
+        Without it these can never be set. `others`: values of the fields that are no parameters.
         """
         guard_parameter_services(node)
         self._fields = param_fields(cls)
@@ -57,7 +61,7 @@ class Held(Generic[T]):
             name: _declare(node, name, *field, fixed=why_fixed is None)
             for name, field in self._fields.items()
         }
-        self.now = cls(**values)
+        self.now = cls(**values, **others)
         _validate(self.now)
         if why_fixed or any(not meaning.read_only for _, _, meaning in self._fields.values()):
             node.add_on_set_parameters_callback(self._on_set)

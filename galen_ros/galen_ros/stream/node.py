@@ -7,16 +7,20 @@ from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, cast
 
+from galen_model.arm.arm import Arm
 from geometry_msgs.msg import WrenchStamped
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
+from galen_ros.arm import ArmParameters, other_arm
 from galen_ros.cdr import JointStateError, JointWire, RawWrench, UnreadableError, WrenchWire
 from galen_ros.messages import STREAM, publisher_nodes
 from galen_ros.node.diagnostics import Level, Status
 from galen_ros.node.managed_node import ManagedNode
+from galen_ros.node.robot_description import ArmSource
 from galen_ros.stream.monitor import Severity, StreamMonitor, StreamState
 from galen_ros.stream.pairing import WrenchPairing
 from galen_ros.stream.samples import Rejected
@@ -43,11 +47,41 @@ class StreamNode(ManagedNode):
 
     def __init__(self, name: str, **node_options: Any) -> None:
         super().__init__(name, **node_options)
+        self._source = ArmSource(
+            self,
+            self.hold(ArmParameters),
+            self._on_description,
+            "call deactivate, cleanup and configure to take it",
+        )
+        self._starts_late = False
         self._announced: StreamState | None = None
         self._announced_s = float("-inf")
         self._qos_trouble = ""
         self._newest_joint_state: tuple[float, bytes] | None = None
         """Wall time of its arrival, s, and the message, serialised."""
+
+    def start(self) -> None:
+        """Configure and activate as soon as the arm is known, unless told not to."""
+        self._starts_late = self._autostarts and bool(self._source.waiting)
+        if self._starts_late:
+            self.get_logger().info(self._source.waiting)
+        else:
+            super().start()
+
+    def _on_description(self) -> None:
+        if self._starts_late and self.trigger_configure() is TransitionCallbackReturn.SUCCESS:
+            self._starts_late = False
+            self.trigger_activate()
+        self._diagnostics.publish_now()
+
+    def _take_arm(self) -> Arm:
+        """To be called first in `_configure`; raises GalenError."""
+        self._at_undo(self._source.leave)
+        self.arm = self._source.take()
+        return self.arm
+
+    def _remark(self) -> str:
+        return self._source.trouble if self.configured else self._source.waiting
 
     def _begin(
         self,
@@ -131,7 +165,10 @@ class StreamNode(ManagedNode):
         try:
             stamp_ns, positions = self._joint_wire.read(data)
         except (JointStateError, UnreadableError) as error:
-            self._pairing.push_bad_joints(f"joint_states can't be used: {error}")
+            text = f"joint_states can't be used: {error}"
+            if isinstance(error, JointStateError):
+                text += other_arm(self.arm)
+            self._pairing.push_bad_joints(text)
             return
         results = self._push_joints(stamp_ns, positions)
         if results:

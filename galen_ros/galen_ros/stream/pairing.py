@@ -155,7 +155,7 @@ class WrenchPairing:
             max_waiting=MAX_WAITING,
             sensor_range=parameters.sensor_range,
         )
-        self._joints = JointBuffer(self._limits.max_age_ns)
+        self._joints = JointBuffer(self._limits.max_age_ns, arm=arm)
         self._waiting: deque[PairedWrench] = deque()
         self._newest_wrench_ns: int | None = None
         self._joint_trouble: str | None = None
@@ -316,6 +316,11 @@ class WrenchPairing:
             return False
         step_ns = stamp_ns - before[0]
         step_rad = max([abs(now - then) for now, then in zip(angles, before[1], strict=True)])
+        if not joint_jump(step_ns, step_rad):
+            return False
+        # Rare, so that wrapped angles are looked at here alone.
+        steps = self._arm.nearest(angles, before[1]) - np.array(before[1])
+        step_rad = float(np.abs(steps).max())
         if not joint_jump(step_ns, step_rad):
             return False
         detail = f"joint_states jumped by {step_rad:.2f} rad within {step_ns * 1e-6:.1f} ms"

@@ -79,7 +79,7 @@ def find_regular_run(
             newest_wrench_ns,
             joints.newest_ns,
             limits,
-            _jumps(arrivals.joint_stamp_ns, angles, reported),
+            _jumps(arrivals.joint_stamp_ns, angles, reported, joints),
         )
     )
     # From here on the stamps of either topic increase, so they can be searched.
@@ -147,13 +147,17 @@ def _in_line(
 
 
 def _jumps(
-    stamp_ns: np.ndarray, angles: Array, reported: tuple[int, tuple[float, ...]] | None
+    stamp_ns: np.ndarray,
+    angles: Array,
+    reported: tuple[int, tuple[float, ...]] | None,
+    joints: JointBuffer,
 ) -> np.ndarray:
     """Which joint samples the arm can't have turned to from the one before."""
     if not len(stamp_ns):
         return np.zeros(0, dtype=bool)
     before_ns, before = (stamp_ns[0] - 1, angles[0]) if reported is None else reported
-    step_rad = np.abs(np.diff(angles, axis=0, prepend=np.reshape(before, (1, -1)))).max(axis=1)
+    previous = np.vstack((before, angles[:-1]))
+    step_rad = np.abs(joints.nearest(angles, previous) - previous).max(axis=1)
     return np.asarray(joint_jump(np.diff(stamp_ns, prepend=before_ns), step_rad))
 
 

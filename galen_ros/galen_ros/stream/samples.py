@@ -12,6 +12,7 @@ from enum import Enum
 from typing import Any, NamedTuple
 
 import numpy as np
+from galen_model.arm.arm import Arm
 from galen_model.arrays import Array
 
 # A torque this many times beyond the sensor's range is no overload but another unit.
@@ -185,12 +186,16 @@ class JointBuffer:
     `joints_at` gives NaN next to it instead of reaching over it.
     """
 
-    def __init__(self, max_gap_ns: int, capacity: int = 4096) -> None:
-        """Keep at least `capacity` samples; never interpolate over more than `max_gap_ns`."""
+    def __init__(self, max_gap_ns: int, capacity: int = 4096, arm: Arm | None = None) -> None:
+        """Keep at least `capacity` samples; never interpolate over more than `max_gap_ns`.
+
+        arm: whose endless joints are interpolated the shorter way round; None: there are none.
+        """
         if max_gap_ns <= 0 or capacity < 2:
             raise ValueError(f"max_gap_ns = {max_gap_ns}, capacity = {capacity}: need > 0 and >= 2")
         self._max_gap_ns = max_gap_ns
         self._capacity = capacity
+        self._arm = arm if arm is not None and arm.endless.any() else None
         self._stamps: list[int] = []
         self._positions: list[tuple[float, ...]] = []
 
@@ -206,6 +211,10 @@ class JointBuffer:
     def capacity(self) -> int:
         """Number of the newest samples that are surely kept."""
         return self._capacity
+
+    def nearest(self, positions: Array, to: Array) -> Array:
+        """Return positions (n, k), endless joints by whole turns nearest to `to` (n, k)."""
+        return positions if self._arm is None else self._arm.nearest(positions, to)
 
     def clear(self) -> None:
         """Forget every sample."""
@@ -267,7 +276,7 @@ class JointBuffer:
         weight = (at_ns - stamps[before]) / np.maximum(span_ns, 1)
         # A sample with exactly the stamp is taken as it is, whatever lies before it.
         start = np.where(exact[:, None], positions[after], positions[before])
-        found = start + weight[:, None] * (positions[after] - start)
+        found = start + weight[:, None] * (self.nearest(positions[after], start) - start)
         good = exact | ((after > 0) & (span_ns <= self._max_gap_ns))
         good &= np.isfinite(found).all(axis=1)
         return found, good, np.where(exact, after, before)
@@ -296,8 +305,10 @@ class JointBuffer:
         if span_ns > self._max_gap_ns:
             return NO_JOINTS_GAP
         w = (stamp_ns - stamps[before]) / span_ns
-        sides = zip(self._positions[before], self._positions[after], strict=True)
-        between = tuple([low + w * (high - low) for low, high in sides])
+        start, end = self._positions[before], self._positions[after]
+        if self._arm is not None:
+            end = tuple(self._arm.nearest(end, start).tolist())
+        between = tuple([low + w * (high - low) for low, high in zip(start, end, strict=True)])
         if not math.isfinite(sum(between)):
             return (math.nan,) * len(between)
         return between

@@ -136,11 +136,11 @@ def identify_two_sweeps_mounted(
     """
     check_count(bare, "sweep without the tool")
     check_count(tool, "sweep with the tool")
-    asked = entities(groups)
-    problem = _two_sweeps_problem(
+    asked = entities(groups, tool.arm)
+    problem = two_sweeps_problem(
         JointPoses(bare.angles, bare.arm),
         JointPoses(tool.angles, tool.arm),
-        _zeroing_pose(zero_angles, tool.arm),
+        zeroing_pose(zero_angles, tool.arm),
         asked,
         known,
     )
@@ -165,24 +165,17 @@ def identify_one_sweep_mounted(
     the sum of both loads with free offsets.
     """
     check_count(tool, "sweep with the tool")
-    asked = entities(groups)
+    asked = entities(groups, tool.arm)
     poses = JointPoses(tool.angles, tool.arm)
-    zero = _zeroing_pose(zero_angles, tool.arm)
-    together = _single_problem(poses, asked, None)
+    zero = zeroing_pose(zero_angles, tool.arm)
+    together = single_problem(poses, asked, None, tool.arm)
     start, design, sigma = together.start(tool.wrench)
     check_excitation(design, LOAD_PARAMETERS[:4], {"with the tool": tool})
     check_channels(design[:, :, :4], tool, "sweep with the tool")
     together.check(start, sigma, None)
 
-    gravity_zero = zero.gravity(Mounting())[0][0]
-    rows, values, std = one_sweep_prior(gravity_zero)
-    problem = _Problem(
-        ReadingModel(
-            [MountedSweep(poses, slice(0, 4), slice(4, 8), slice(8, 14))], zero, asked, 14
-        ),
-        Prior(np.hstack([rows, np.zeros((len(rows), len(asked)))]), values, std, slice(8, 14)),
-        None,
-    )
+    gravity_zero = zero.gravity(Mounting.of(tool.arm))[0][0]
+    problem = one_sweep_problem(poses, zero, asked)
     # what the sum's offset holds, the zeroing took: - G_0 x_adapter
     at_zero = gravity_regressor(gravity_zero)
     adapter = np.linalg.lstsq(at_zero, -start[4:10], rcond=None)[0]
@@ -201,17 +194,19 @@ def identify_single_load_mounted(
     groups: Sequence[str],
     base_from_sensor: Array | None = None,
     known: KnownLoad | None = None,
+    arm: Arm = GALEN,
 ) -> MountedLoad:
     """As `identify_single_load`, with the mounting's `groups`, from orientations.
 
     gravity_sensor: (n, 3) for a level base; base_from_sensor: R_base_sensor (n, 3, 3), which an
-    inclination of the base needs. known: of all that hangs on the sensor. Raises NotExcitedError
-    naming the pairs, and as `identify_single_load` does.
+    inclination of the base needs. known: of all that hangs on the sensor; arm: whose mounting it
+    is. Raises NotExcitedError naming the pairs, and as `identify_single_load` does.
     """
     gravity, readings = np.asarray(gravity_sensor, dtype=float), np.asarray(wrench, dtype=float)
     if len(gravity) < MIN_POSES:
         raise IdentificationError(f"{len(gravity)} still poses; at least {MIN_POSES} are needed")
-    problem = _single_problem(OrientedPoses(gravity, base_from_sensor), entities(groups), known)
+    poses = OrientedPoses(gravity, base_from_sensor)
+    problem = single_problem(poses, entities(groups, arm), known, arm)
     start, design, sigma = problem.start(readings)
     check_excitation(design, LOAD_PARAMETERS[:4])
     fit = problem.fit(readings, start, sigma)
@@ -221,7 +216,8 @@ def identify_single_load_mounted(
     return MountedLoad(single, problem.mounting(fit, tuple(groups)))
 
 
-def _zeroing_pose(zero_angles: ArrayLike | None, arm: Arm) -> JointPoses:
+def zeroing_pose(zero_angles: ArrayLike | None, arm: Arm) -> JointPoses:
+    """Return the pose, rad, at which the sensor was zeroed; None: the arm's home."""
     at = arm.home_angles if zero_angles is None else np.asarray(zero_angles, dtype=float)
     return JointPoses(at[None], arm)
 
@@ -238,21 +234,32 @@ def check_planned_mounting(
 
     The load isn't known then; one of 100 g, well off every axis, stands for it.
     """
-    asked = entities(groups)
+    asked = entities(groups, arm)
     planned = JointPoses(np.asarray(angles, dtype=float), arm)
-    zero = _zeroing_pose(zero_angles, arm)
+    zero = zeroing_pose(zero_angles, arm)
     load, noise = 0.1 * np.array([1.0, 0.05, 0.03, 0.05]), np.array([1.0] * 3 + [0.02] * 3)
     if one_sweep:
-        problem = _single_problem(planned, asked, None)
+        problem = single_problem(planned, asked, None, arm)
         problem.check(np.concatenate([load, np.zeros(6 + len(asked))]), noise, None)
         return
-    problem = _two_sweeps_problem(planned, planned, zero, asked, None)
+    problem = two_sweeps_problem(planned, planned, zero, asked, None)
     problem.check(np.concatenate([load, load, np.zeros(12 + len(asked))]), noise, None)
 
 
-def _two_sweeps_problem(
+def one_sweep_problem(
+    tool: Poses, zero: JointPoses, asked: tuple[Entity, ...]
+) -> "MountingProblem":
+    """Values: tool's moments (4), adapter's (4), offsets (6), asked; the zeroing holds."""
+    gravity_zero = zero.gravity(Mounting.of(zero.arm))[0][0]
+    rows, values, std = one_sweep_prior(gravity_zero)
+    known = Prior(np.hstack([rows, np.zeros((len(rows), len(asked)))]), values, std, slice(8, 14))
+    sweep = MountedSweep(tool, slice(0, 4), slice(4, 8), slice(8, 14))
+    return MountingProblem(ReadingModel([sweep], zero, asked, 14), known, None)
+
+
+def two_sweeps_problem(
     bare: Poses, tool: Poses, zero: JointPoses, asked: tuple[Entity, ...], known: KnownLoad | None
-) -> "_Problem":
+) -> "MountingProblem":
     """Values: tool's moments (4), adapter's (4), offsets bare (6) and with the tool (6), asked."""
     adapter = slice(4, 8)
     sweeps = [
@@ -260,19 +267,23 @@ def _two_sweeps_problem(
         MountedSweep(tool, slice(0, 4), adapter, slice(14, 20)),
     ]
     columns = JacobianColumns((0, 4), (1, 2, 3, 5, 6, 7), range(8, 20), [e.name for e in asked])
-    return _Problem(ReadingModel(sweeps, zero, asked, 20), _prior(known, 20 + len(asked)), columns)
+    return MountingProblem(
+        ReadingModel(sweeps, zero, asked, 20), _prior(known, 20 + len(asked)), columns
+    )
 
 
-def _single_problem(poses: Poses, asked: tuple[Entity, ...], known: KnownLoad | None) -> "_Problem":
+def single_problem(
+    poses: Poses, asked: tuple[Entity, ...], known: KnownLoad | None, arm: Arm = GALEN
+) -> "MountingProblem":
     """Values: the load's moments (4), offsets (6), asked."""
     model = ReadingModel(
         [MountedSweep(poses, slice(0, 4), None, slice(4, 10))],
-        _zeroing_pose(None, GALEN),
+        zeroing_pose(None, arm),
         asked,
         10,
     )
     columns = JacobianColumns((0,), (1, 2, 3), range(4, 10), [e.name for e in asked])
-    return _Problem(model, _prior(known, 10 + len(asked)), columns)
+    return MountingProblem(model, _prior(known, 10 + len(asked)), columns)
 
 
 def _prior(known: KnownLoad | None, parameters: int) -> Prior:
@@ -282,7 +293,7 @@ def _prior(known: KnownLoad | None, parameters: int) -> Prior:
 
 
 @dataclass(frozen=True)
-class _Problem:
+class MountingProblem:
     """A model, what is known beforehand, and the columns of `check_identifiable`."""
 
     model: ReadingModel
@@ -345,9 +356,7 @@ class _Problem:
 
     def mounting(self, fit: RobustFit, groups: tuple[str, ...]) -> Mounting:
         """Return the mounting of a fit's values, with its covariance."""
-        basis, linear = self.model.basis, self.model.linear
-        covariance = basis @ fit.covariance[linear:, linear:] @ basis.T
-        return Mounting.from_vector(basis @ fit.values[linear:], groups, covariance)
+        return self.model.mounting(fit.values, groups, fit.covariance)
 
 
 BLOCKS = 5
@@ -382,8 +391,8 @@ class Calibrated:
 
     def without(self, block: int, blocks: int) -> "Calibrated":
         """Return the same without a block of each sweep."""
-        bare = None if self.bare is None else _take(self.bare, ~_held(self.bare, block, blocks))
-        tool = _take(self.tool, ~_held(self.tool, block, blocks))
+        bare = None if self.bare is None else self.bare.take(~_held(self.bare, block, blocks))
+        tool = self.tool.take(~_held(self.tool, block, blocks))
         return replace(self, bare=bare, tool=tool)
 
 
@@ -396,7 +405,7 @@ def worth(measured: Calibrated, all_poses: Identification, blocks: int = BLOCKS)
     for block in range(blocks):
         held = _held(measured.tool, block, blocks)
         rest = measured.without(block, blocks)
-        scored = _take(measured.tool, held & all_poses.used_tool)
+        scored = measured.tool.take(held & all_poses.used_tool)
         try:
             mounted = rest.identify()
         except IdentificationError as error:
@@ -425,14 +434,14 @@ def _models(rest: Calibrated, mounted: Identification) -> list[_Predict | None]:
 
 
 def _predictor(found: Identification, zero_angles: ArrayLike | None) -> _Predict:
-    mounting = found.mounting or Mounting()
 
     def predict(poses: StillPoses) -> Array:
-        gravity = mounting.gravity_in_sensor(poses.angles)
+        mounting = found.mounting or Mounting.of(poses.arm)
+        gravity = mounting.gravity_in_sensor(poses.angles, poses.arm)
         wrench = (
             gravity_wrench(gravity, found.load.load)
             + gravity_wrench(gravity, found.adapter.load)
-            - gravity_wrench(mounting.gravity_in_sensor(zero_angles), found.adapter.load)
+            - gravity_wrench(mounting.gravity_in_sensor(zero_angles, poses.arm), found.adapter.load)
         )
         return np.asarray(wrench @ mounting.reading_from_wrench.T + found.offset)
 
@@ -441,8 +450,3 @@ def _predictor(found: Identification, zero_angles: ArrayLike | None) -> _Predict
 
 def _held(poses: StillPoses, block: int, blocks: int) -> np.ndarray:
     return np.asarray(np.arange(len(poses)) * blocks // len(poses) == block)
-
-
-def _take(poses: StillPoses, rows: np.ndarray) -> StillPoses:
-    std = None if poses.std_of_mean is None else poses.std_of_mean[rows]
-    return StillPoses(poses.angles[rows], poses.wrench[rows], std, arm=poses.arm)

@@ -1,16 +1,16 @@
 """How the sensor sits in its mount and the base on its stand, and what both do to a reading.
 
 With the conventions of the effects `sensor_mount_rotation`, `axis_gain`, `base_inclination`,
-`joint_zero_offset`: S = exp(rotvec) turns the sensing element in ft_sensor
-(the tool is not turned), reading_k = (1 + g_k) true_k, gravity in base_link is
-(Rx(a) Ry(b))^T (0, 0, -g), and a true angle is the reported one plus its zero. So
+`joint_zero_offset`: S = exp(rotvec) turns the sensing element in the sensor's frame
+(the tool is not turned), reading_k = (1 + g_k) true_k, gravity in the base's frame is
+(Rx(a) Ry(b))^T g with the arm's g, and a true angle is the reported one plus its zero. So
 
-    u(q)    = R_base_sensor(q + zeros)^T (Rx(a) Ry(b))^T (0, 0, -g)
+    u(q)    = R_base_sensor(q + zeros)^T (Rx(a) Ry(b))^T g
     reading = M w(u),   M = diag(1 + g) blockdiag(S^T, S^T)
 
-for a wrench w in ft_sensor. The element reads about the same origin, so force and torque turn
-alike. Zeroing takes a reading off; with M linear, M w(u) - M w(u_0) = M (w(u) - w(u_0)), so that
-the adapter's part at the zeroing pose goes through M as all others do, and a push F reads M F.
+for a wrench w in the sensor's frame. The element reads about the same origin, so force and torque
+turn alike. Zeroing subtracts a reading; with M linear, M w(u) - M w(u_0) = M (w(u) - w(u_0)), so
+that the adapter's part at the zeroing pose goes through M as all others do, and a push F reads M F.
 C = M^-1 gives it back from the difference of two readings.
 
 The parameters of sensor and mounting, by the names under which they are asked for.
@@ -18,6 +18,10 @@ The parameters of sensor and mounting, by the names under which they are asked f
 Six gains hold two that no reading can tell without a weighed load: the mean of the three force
 gains is a mass, that of the torque gains a centre. So gains are taken apart into their two means
 and four ratios.
+
+Not every joint's zero changes gravity in the sensor. That of a joint about gravity itself, as of
+most arms' first one, stays at zero; of joints in a row with parallel axes, as a UR's second to
+fourth, only the sum is told, and `joint_zero` spreads it evenly.
 """
 
 from collections.abc import Sequence
@@ -28,129 +32,197 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN, GRAVITY_M_S2, WRENCH_AXES
+from galen_model.arm.galen import GALEN, WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.errors import IdentificationError
 from galen_model.files.json_fields import FieldError, array, get, mapping, number, numbers, texts
 from galen_model.rotation import rotvec_to_matrix
 
-PARAMETERS = (
+_PARAMETERS = (
     *(f"the sensor's rotation about {axis}" for axis in "xyz"),
     *(f"the gain of {axis}" for axis in WRENCH_AXES),
     "the base's inclination about x",
     "the base's inclination about y",
-    *(f"the {name} joint's zero" for name in GALEN.turning_names),
 )
-"""Order of a mounting's parameters (13): rad, but for the gains."""
+ZEROS = len(_PARAMETERS)
+"""Where the joints' zeros begin among the parameters."""
+
+
+def parameters(joints: Sequence[str]) -> tuple[str, ...]:
+    """Order of a mounting's 11 + k parameters, rad but for gains; joints: the k revolute ones."""
+    return (*_PARAMETERS, *(f"the {name} joint's zero" for name in joints))
+
 
 FORCE_GAIN = "the common force gain"
 TORQUE_GAIN = "the common torque gain"
+COMMON_ZERO = "the common zero of the joints"
 
 
 @dataclass(frozen=True)
 class Entity:
-    """A direction (13,) among the parameters that is told, or not, as one; its name."""
+    """A direction (11 + k,) among the parameters that is told, or not, as one; its name."""
 
     name: str
     direction: Array
 
 
-def _gain(name: str, first: int, *parts: float) -> Entity:
-    direction = np.zeros(len(PARAMETERS))
-    direction[first : first + 3] = parts
-    return Entity(name, direction)
+def groups_of(arm: Arm = GALEN) -> dict[str, tuple[Entity, ...]]:
+    """Return what can be asked for of an arm, and which directions it holds."""
+    joints = arm.turning_names
+    names = parameters(joints)
+
+    def single(index: int) -> Entity:
+        return Entity(names[index], np.eye(len(names))[index])
+
+    def gain(name: str, first: int, *parts: float) -> Entity:
+        direction = np.zeros(len(names))
+        direction[first : first + 3] = parts
+        return Entity(name, direction)
+
+    rotation = tuple(single(index) for index in range(3))
+    force = gain(FORCE_GAIN, 3, 1.0, 1.0, 1.0)
+    torque = gain(TORQUE_GAIN, 6, 1.0, 1.0, 1.0)
+    force_ratio = (
+        gain("the ratio of the gains of fx and fy", 3, 1.0, -1.0, 0.0),
+        gain("the ratio of the gain of fz to those of fx and fy", 3, -0.5, -0.5, 1.0),
+    )
+    torque_ratio = (
+        gain("the ratio of the gains of tx and ty", 6, 1.0, -1.0, 0.0),
+        gain("the ratio of the gain of tz to those of tx and ty", 6, -0.5, -0.5, 1.0),
+    )
+    inclination = (single(9), single(10))
+    zero = tuple(single(ZEROS + k) for k in range(len(joints)))
+    return {
+        "sensor_rotation": rotation,
+        "axis_gain": (force, *force_ratio, torque, *torque_ratio),
+        "base_inclination": inclination,
+        "joint_zero": _told_zeros(arm, zero),
+        "sensor_rotation_x": rotation[:1],
+        "sensor_rotation_y": rotation[1:2],
+        "sensor_rotation_z": rotation[2:],
+        "force_gain": (force, *force_ratio),
+        "torque_gain": (torque, *torque_ratio),
+        "gain_ratio": (*force_ratio, *torque_ratio),
+        "force_gain_ratio": force_ratio,
+        "torque_gain_ratio": torque_ratio,
+        "base_inclination_x": inclination[:1],
+        "base_inclination_y": inclination[1:],
+        **{f"{name}_zero": (one,) for name, one in zip(joints, zero, strict=True)},
+    }
 
 
-def _single(index: int) -> Entity:
-    return Entity(PARAMETERS[index], np.eye(len(PARAMETERS))[index])
+_PARALLEL_RAD = 1e-3
+"""Axes that differ by less are parallel: robot descriptions round right angles to this."""
 
 
-_ROTATION = tuple(_single(index) for index in range(3))
-_FORCE = _gain(FORCE_GAIN, 3, 1.0, 1.0, 1.0)
-_TORQUE = _gain(TORQUE_GAIN, 6, 1.0, 1.0, 1.0)
-_FORCE_RATIO = (
-    _gain("the ratio of the gains of fx and fy", 3, 1.0, -1.0, 0.0),
-    _gain("the ratio of the gain of fz to those of fx and fy", 3, -0.5, -0.5, 1.0),
-)
-_TORQUE_RATIO = (
-    _gain("the ratio of the gains of tx and ty", 6, 1.0, -1.0, 0.0),
-    _gain("the ratio of the gain of tz to those of tx and ty", 6, -0.5, -0.5, 1.0),
-)
-_INCLINATION = (_single(9), _single(10))
-_ZERO = tuple(map(_single, range(11, len(PARAMETERS))))
-
-GROUPS: dict[str, tuple[Entity, ...]] = {
-    "sensor_rotation": _ROTATION,
-    "axis_gain": (_FORCE, *_FORCE_RATIO, _TORQUE, *_TORQUE_RATIO),
-    "base_inclination": _INCLINATION,
-    "joint_zero": _ZERO,
-    "sensor_rotation_x": _ROTATION[:1],
-    "sensor_rotation_y": _ROTATION[1:2],
-    "sensor_rotation_z": _ROTATION[2:],
-    "force_gain": (_FORCE, *_FORCE_RATIO),
-    "torque_gain": (_TORQUE, *_TORQUE_RATIO),
-    "gain_ratio": (*_FORCE_RATIO, *_TORQUE_RATIO),
-    "force_gain_ratio": _FORCE_RATIO,
-    "torque_gain_ratio": _TORQUE_RATIO,
-    "base_inclination_x": _INCLINATION[:1],
-    "base_inclination_y": _INCLINATION[1:],
-    **{f"{name}_zero": (zero,) for name, zero in zip(GALEN.turning_names, _ZERO, strict=True)},
-}
-"""What can be asked for, and which directions it holds."""
+def _told_zeros(arm: Arm, zero: Sequence[Entity]) -> tuple[Entity, ...]:
+    """Return the zeros, of joints (k,), that change gravity in the sensor; parallel ones as one."""
+    if not zero:
+        return ()
+    q = np.random.default_rng(0).uniform(-1.0, 1.0, (4, len(arm.joints)))
+    axes = arm.joint_axes(q)[1][:, arm.turning]
+    chains: list[list[int]] = []
+    for k in range(len(zero)):
+        if k and _parallel(axes[:, k - 1], axes[:, k]):
+            chains[-1].append(k)
+        else:
+            chains.append([k])
+    found = []
+    for chain in chains:
+        if _parallel(axes[:, chain[0]], arm.gravity_m_s2 / np.linalg.norm(arm.gravity_m_s2)):
+            continue
+        first, *others = (zero[k] for k in chain)
+        if others:
+            signs = np.sign(axes[0, chain] @ axes[0, chain[0]])
+            direction = sum(sign * zero[k].direction for sign, k in zip(signs, chain, strict=True))
+            names = ", ".join(arm.turning_names[k] for k in chain)
+            first = Entity(f"{COMMON_ZERO} {names}", np.asarray(direction))
+        found.append(first)
+    return tuple(found)
 
 
-def entities(groups: Sequence[str]) -> tuple[Entity, ...]:
-    """Return the directions of `groups`, each once; raises IdentificationError."""
-    for group in groups:
-        if group not in GROUPS:
+def _parallel(a: Array, b: Array) -> bool:
+    return bool(np.all(np.linalg.norm(np.cross(a, b), axis=-1) < _PARALLEL_RAD))
+
+
+GROUPS = (*tuple(groups_of())[: -len(GALEN.turning)], "JOINT_zero")
+"""Names of what can be asked for; JOINT stands for any revolute joint of the arm."""
+
+
+def entities(names: Sequence[str], arm: Arm = GALEN) -> tuple[Entity, ...]:
+    """Return the directions of groups by name, each once; raises IdentificationError."""
+    known = groups_of(arm)
+    for name in names:
+        if name not in known:
             raise IdentificationError(
-                f"{group!r:.60} can't be estimated; known are: {', '.join(GROUPS)}"
+                f"{name!r:.60} can't be estimated; known are: {', '.join(known)}"
             )
-    found = {entity.name: entity for group in groups for entity in GROUPS[group]}
+        if not known[name]:
+            raise IdentificationError(
+                f"{name!r} can't be estimated: no joint's zero of the arm '{arm.name}' changes"
+                " gravity in the sensor"
+            )
+    found = {entity.name: entity for name in names for entity in known[name]}
     return tuple(found.values())
 
 
 _LARGEST_GAIN = 0.5
-_COUNT = len(PARAMETERS)
+_GALENS = ZEROS + len(GALEN.turning)
 
 
-def gravity_direction(about_x_rad: float, about_y_rad: float) -> Array:
-    """Return unit vector (3,) of gravity in base_link, (Rx(a) Ry(b))^T (0, 0, -1), written out."""
+def inclination(about_x_rad: float, about_y_rad: float) -> Array:
+    """Return (Rx(a) Ry(b))^T (3, 3), which takes a level base's gravity into the inclined one."""
     sin_a, cos_a = np.sin(about_x_rad), np.cos(about_x_rad)
     sin_b, cos_b = np.sin(about_y_rad), np.cos(about_y_rad)
-    return np.array([sin_b * cos_a, -sin_a, -cos_b * cos_a])
+    return np.array(
+        [
+            [cos_b, sin_a * sin_b, -cos_a * sin_b],
+            [0.0, cos_a, sin_a],
+            [sin_b, -sin_a * cos_b, cos_a * cos_b],
+        ]
+    )
 
 
 @dataclass(frozen=True)
 class Mounting:
     """Rotation and gains of the sensor, inclination of the base (about x, y), joint zeros.
 
-    axis_gain (6,) in the order fx fy fz tx ty tz; all others in rad. estimated: the names of
-    `GROUPS` that a calibration told; what is not among them is
-    zero by assumption. covariance: (13, 13) in the order of `PARAMETERS`, zero where not estimated.
+    axis_gain (6,) in the order fx fy fz tx ty tz; all others in rad, joint_zero_rad (k,) of the
+    revolute `joints`. estimated: the names of groups that a calibration told; what is not among
+    them is zero by assumption. covariance: (11 + k, 11 + k) in the order of `parameters`, zero
+    where not estimated.
     """
 
     sensor_rotvec_rad: Array = field(default_factory=lambda: np.zeros(3))
     axis_gain: Array = field(default_factory=lambda: np.zeros(6))
     base_inclination_rad: Array = field(default_factory=lambda: np.zeros(2))
-    joint_zero_rad: Array = field(default_factory=lambda: np.zeros(2))
+    joint_zero_rad: Array = field(default_factory=lambda: np.zeros(len(GALEN.turning)))
     estimated: tuple[str, ...] = ()
-    covariance: Array = field(default_factory=lambda: np.zeros((_COUNT, _COUNT)))
+    covariance: Array = field(default_factory=lambda: np.zeros((_GALENS, _GALENS)))
+    joints: tuple[str, ...] = GALEN.turning_names
+
+    @staticmethod
+    def of(arm: Arm) -> "Mounting":
+        """Return that of an arm whose sensor and joints are as they should be."""
+        return Mounting.from_vector(np.zeros(ZEROS + len(arm.turning)), joints=arm.turning_names)
 
     @staticmethod
     def from_vector(
-        vector: Array, estimated: tuple[str, ...] = (), covariance: Array | None = None
+        vector: Array,
+        estimated: tuple[str, ...] = (),
+        covariance: Array | None = None,
+        joints: tuple[str, ...] = GALEN.turning_names,
     ) -> "Mounting":
-        """Of parameters (13,) in the order of `PARAMETERS`."""
-        none = np.zeros((_COUNT, _COUNT))
+        """Of parameters (11 + k,) in the order of `parameters`."""
+        none = np.zeros((len(vector), len(vector)))
         return Mounting(
-            vector[:3], vector[3:9], vector[9:11], vector[11:13], estimated,
-            none if covariance is None else covariance,
+            vector[:3], vector[3:9], vector[9:ZEROS], vector[ZEROS:], estimated,
+            none if covariance is None else covariance, joints,
         )  # fmt: skip
 
     @property
     def vector(self) -> Array:
-        """The parameters (13,) in the order of `PARAMETERS`."""
+        """The parameters (11 + k,) in the order of `parameters`."""
         return np.concatenate(
             [
                 self.sensor_rotvec_rad,
@@ -162,40 +234,45 @@ class Mounting:
 
     @property
     def std(self) -> Array:
-        """Standard deviations (13,)."""
+        """Standard deviations (11 + k,)."""
         return np.sqrt(np.diag(self.covariance))
 
     @property
     def rows(self) -> list[tuple[str, float, float, str]]:
         """Name, value, standard deviation and unit (deg or %) of what was estimated."""
-        rows = []
+        rows, names = [], parameters(self.joints)
         for index in np.flatnonzero(self.std > 0.0):
             factor, unit = (100.0, "%") if 3 <= index < 9 else (np.degrees(1.0), "deg")
             value, std = factor * self.vector[index], factor * self.std[index]
-            rows.append((PARAMETERS[index], float(value), float(std), unit))
+            rows.append((names[index], float(value), float(std), unit))
         return rows
 
     @property
-    def gravity_direction(self) -> Array:
-        """Unit vector (3,) of gravity in base_link."""
-        return gravity_direction(*self.base_inclination_rad)
+    def inclination(self) -> Array:
+        """(3, 3): takes a level base's gravity into the inclined one."""
+        return inclination(*self.base_inclination_rad)
+
+    def gravity_direction(self, arm: Arm = GALEN) -> Array:
+        """Return the unit vector (3,) of gravity in the arm's base frame."""
+        return self.inclination @ (arm.gravity_m_s2 / np.linalg.norm(arm.gravity_m_s2))
 
     def gravity_in_sensor(self, angles: ArrayLike | None, arm: Arm = GALEN) -> Array:
         """Gravity (..., 3) in the sensor, m/s^2, at reported angles (..., k); None for home."""
         reported = arm.home_angles if angles is None else np.asarray(angles, dtype=float)
         true = reported + self.joint_zero_rad
-        return arm.direction_in_sensor(true, self.gravity_direction) * -GRAVITY_M_S2[2]
+        size = float(np.linalg.norm(arm.gravity_m_s2))
+        return arm.direction_in_sensor(true, self.gravity_direction(arm)) * size
 
     def turned_gravity(self, gravity_sensor: ArrayLike, base_from_sensor: ArrayLike) -> Array:
-        """Gravity (n, 3) in ft_sensor as the inclined base has it.
+        """Gravity (n, 3) in the sensor's frame as the inclined base has it.
 
-        From the gravity (n, 3) of a level base and R_base_sensor (n, 3, 3): u + g R^T (d - d_0).
+        From the gravity u (n, 3) of a level base and R = R_base_sensor (n, 3, 3):
+        u + R^T ((Rx(a) Ry(b))^T - 1) R u.
         """
-        gravity = np.asarray(gravity_sensor, dtype=float)
-        change = self.gravity_direction - gravity_direction(0.0, 0.0)
-        size = np.linalg.norm(gravity, axis=-1, keepdims=True)
-        turned = np.einsum("nji,j->ni", np.asarray(base_from_sensor, dtype=float), change)
-        return np.asarray(gravity + size * turned)
+        gravity = np.asarray(gravity_sensor, dtype=float)[..., None]
+        rotation = np.asarray(base_from_sensor, dtype=float)
+        change = (self.inclination - np.eye(3)) @ (rotation @ gravity)
+        return np.asarray((gravity + np.swapaxes(rotation, -1, -2) @ change)[..., 0])
 
     @property
     def reading_from_wrench(self) -> Array:
@@ -218,36 +295,36 @@ class Mounting:
             "sensor_rotvec_rad": numbers(self.sensor_rotvec_rad),
             "axis_gain": numbers(self.axis_gain),
             "base_inclination_rad": {"about_x": about_x, "about_y": about_y},
-            "joint_zero_rad": dict(
-                zip(GALEN.turning_names, numbers(self.joint_zero_rad), strict=True)
-            ),
+            "joint_zero_rad": dict(zip(self.joints, numbers(self.joint_zero_rad), strict=True)),
             "estimated": list(self.estimated),
             "covariance": [numbers(row) for row in self.covariance],
         }
 
     @staticmethod
-    def from_json(value: Any, name: str) -> "Mounting":
-        """Read back; raises FieldError naming the field below `name`."""
+    def from_json(value: Any, name: str, arm: Arm = GALEN) -> "Mounting":
+        """Read back, for an arm; raises FieldError naming the field below `name`."""
         whole = mapping(value, name)
         rotvec = array(get(whole, "sensor_rotvec_rad"), f"{name}.sensor_rotvec_rad", (3,))
         gain = array(get(whole, "axis_gain"), f"{name}.axis_gain", (6,))
-        inclination = _pair(whole, "base_inclination_rad", ("about_x", "about_y"), name)
-        zero = _pair(whole, "joint_zero_rad", GALEN.turning_names, name)
-        covariance = array(get(whole, "covariance"), f"{name}.covariance", (_COUNT, _COUNT))
+        inclined = _pair(whole, "base_inclination_rad", ("about_x", "about_y"), name)
+        zero = _pair(whole, "joint_zero_rad", arm.turning_names, name)
+        count = ZEROS + len(zero)
+        covariance = array(get(whole, "covariance"), f"{name}.covariance", (count, count))
         estimated = texts(get(whole, "estimated"), f"{name}.estimated")
         if np.linalg.norm(rotvec) > np.pi:
             raise FieldError(f"{name}.sensor_rotvec_rad turns by more than pi")
         if np.any(np.abs(gain) > _LARGEST_GAIN):
             raise FieldError(f"{name}.axis_gain has one beyond {_LARGEST_GAIN}")
-        for field_name, angles in (("base_inclination_rad", inclination), ("joint_zero_rad", zero)):
+        for field_name, angles in (("base_inclination_rad", inclined), ("joint_zero_rad", zero)):
             if np.any(np.abs(angles) > np.pi / 2):
                 raise FieldError(f"{name}.{field_name} has an angle beyond pi/2")
         if np.any(np.diag(covariance) < 0.0):
             raise FieldError(f"{name}.covariance has a negative variance")
+        known = groups_of(arm)
         for group in estimated:
-            if group not in GROUPS:
+            if group not in known:
                 raise FieldError(f"{name}.estimated names {group!r:.40}, which is no parameter")
-        return Mounting(rotvec, gain, inclination, zero, estimated, covariance)
+        return Mounting(rotvec, gain, inclined, zero, estimated, covariance, arm.turning_names)
 
 
 def _pair(whole: Any, key: str, parts: Sequence[str], name: str) -> Array:

@@ -16,11 +16,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN, GRAVITY_M_S2
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.load.model import gravity_regressor
-from galen_model.load.mounting.mounting import PARAMETERS, Entity, Mounting
+from galen_model.load.mounting.mounting import ZEROS, Entity, Mounting
 from galen_model.rotation import skew
+
+_X, _Y, _ = np.eye(3)
 
 
 @dataclass(frozen=True)
@@ -39,10 +41,11 @@ class JointPoses:
         joints = self.arm.with_angles(self.angles + mounting.joint_zero_rad)
         rotation, _ = self.arm.sensor_pose(joints)
         _, axes = self.arm.joint_axes(joints)
-        size = -GRAVITY_M_S2[2]
-        u = np.einsum("nji,j->ni", rotation, mounting.gravity_direction) * size
+        size = float(np.linalg.norm(self.arm.gravity_m_s2))
+        u = np.einsum("nji,j->ni", rotation, mounting.gravity_direction(self.arm)) * size
         change = np.empty((len(self), 3, 2 + len(self.arm.turning)))
-        change[:, :, :2] = size * _by_inclination(rotation, mounting)
+        level = np.broadcast_to(self.arm.gravity_m_s2, u.shape)
+        change[:, :, :2] = _by_inclination(rotation, mounting, level)
         for column, joint in enumerate(self.arm.turning, start=2):
             axis = np.einsum("nji,nj->ni", rotation, axes[:, joint])
             change[:, :, column] = np.cross(u, axis)
@@ -65,22 +68,23 @@ class OrientedPoses:
 
     def gravity(self, mounting: Mounting) -> tuple[Array, Array]:
         """As `JointPoses.gravity`; joint zeros have no effect."""
-        change = np.zeros((len(self), 3, _COUNT - 9))
+        change = np.zeros((len(self), 3, 2 + len(mounting.joints)))
         if self.rotation is None:
             return self.level_gravity, change
-        size = np.linalg.norm(self.level_gravity, axis=1)[:, None, None]
-        change[:, :, :2] = size * _by_inclination(self.rotation, mounting)
+        level = np.einsum("nij,nj->ni", self.rotation, self.level_gravity)
+        change[:, :, :2] = _by_inclination(self.rotation, mounting, level)
         return mounting.turned_gravity(self.level_gravity, self.rotation), change
 
 
 Poses = JointPoses | OrientedPoses
 
 
-def _by_inclination(rotation: Array, mounting: Mounting) -> Array:
-    a, b = mounting.base_inclination_rad
-    by_a = [-np.sin(b) * np.sin(a), -np.cos(a), np.cos(b) * np.sin(a)]
-    by_b = [np.cos(b) * np.cos(a), 0.0, np.sin(b) * np.cos(a)]
-    return np.asarray(np.einsum("nji,jk->nik", rotation, np.array([by_a, by_b]).T))
+def _by_inclination(rotation: Array, mounting: Mounting, level: Array) -> Array:
+    """(n, 3, 2) from R_base_sensor (n, 3, 3) and a level base's gravity (n, 3) in the base."""
+    # Of M = exp(-b y^) exp(-a x^): dM/da = -M x^ and dM/db = -y^ M.
+    turn = mounting.inclination.T
+    by_a, by_b = np.cross(level, _X) @ turn, np.cross(level @ turn, _Y)
+    return np.asarray(np.einsum("nji,njk->nik", rotation, np.stack([by_a, by_b], axis=2)))
 
 
 @dataclass(frozen=True)
@@ -103,13 +107,23 @@ class ReadingModel:
     linear: int
 
     @property
-    def basis(self) -> Array:
-        """Directions (13, q) of the mounting's values among its parameters."""
-        return np.array([entity.direction for entity in self.entities]).reshape(-1, _COUNT).T
+    def _joints(self) -> tuple[str, ...]:
+        return self.zero.arm.turning_names
 
-    def mounting(self, values: Array) -> Mounting:
-        """Return the mounting of values (p,)."""
-        return Mounting.from_vector(self.basis @ values[self.linear :])
+    @property
+    def basis(self) -> Array:
+        """Directions (11 + k, q) of the mounting's values among its parameters."""
+        count = ZEROS + len(self._joints)
+        return np.array([entity.direction for entity in self.entities]).reshape(-1, count).T
+
+    def mounting(
+        self, values: Array, estimated: tuple[str, ...] = (), covariance: Array | None = None
+    ) -> Mounting:
+        """Return the mounting of values (p,), with their covariance (p, p) where given."""
+        basis, linear = self.basis, self.linear
+        if covariance is not None:
+            covariance = basis @ covariance[linear:, linear:] @ basis.T
+        return Mounting.from_vector(basis @ values[linear:], estimated, covariance, self._joints)
 
     def evaluate(self, values: Array) -> tuple[Array, Array]:
         """Return readings (n, 6) of all sweeps and their Jacobian (n, 6, p) by the values (p,)."""
@@ -124,7 +138,7 @@ class ReadingModel:
         regressor = gravity_regressor(u)
         moments = np.zeros(4)
         wrench = np.zeros((len(u), 6))
-        by_angles = np.zeros((len(u), 6, _COUNT - 9))
+        by_angles = np.zeros((len(u), 6, du.shape[2]))
         if sweep.tool is not None:
             moments = moments + values[sweep.tool]
             jacobian[:, :, sweep.tool] = by_wrench @ regressor
@@ -151,10 +165,10 @@ def _by_gravity(moments: Array) -> Array:
 
 
 def _by_mounting(mounting: Mounting, reading: Array, by_angles: Array) -> Array:
-    """(n, 6, 13) from readings (n, 6) without offset and their change by the angles."""
+    """(n, 6, 11 + k) from readings (n, 6) without offset and their change by the angles."""
     gain = 1.0 + mounting.axis_gain
     element = reading / gain
-    jacobian = np.zeros((len(reading), 6, _COUNT))
+    jacobian = np.zeros((len(reading), 6, 9 + by_angles.shape[2]))
     right = _right_jacobian(mounting.sensor_rotvec_rad)
     jacobian[:, :3, :3] = skew(element[:, :3]) @ right
     jacobian[:, 3:, :3] = skew(element[:, 3:]) @ right
@@ -174,6 +188,3 @@ def _right_jacobian(rotvec: Array) -> Array:
         - (1.0 - np.cos(angle)) / square * cross
         + (angle - np.sin(angle)) / (square * angle) * cross @ cross
     )
-
-
-_COUNT = len(PARAMETERS)
