@@ -12,6 +12,7 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/" + package_name]),
         ("share/" + package_name, ["package.xml"]),
         ("share/" + package_name + "/launch", glob("launch/*.launch.py")),
+        ("share/" + package_name + "/urdf", glob("urdf/*.urdf")),
         ("share/" + package_name + "/config", glob("config/*.*")),
         ("share/" + package_name + "/config/sros2", glob("config/sros2/*.xml")),
         ("share/" + package_name + "/config/sros2/common", glob("config/sros2/common/*.xml")),
@@ -22,5 +23,10 @@ setup(
     maintainer_email="galen@example.org",
     description="Launch files, configuration and the demonstration of the Galen suite.",
     license="Apache-2.0",
-    entry_points={"console_scripts": ["demo = galen_ros.executable:galen_bringup.demo.main"]},
+    entry_points={
+        "console_scripts": [
+            "demo = galen_ros.executable:galen_bringup.demo.main",
+            "preflight = galen_ros.executable:galen_bringup.preflight.main",
+        ]
+    },
 )

@@ -2,13 +2,28 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, List  # noqa: UP035
 
 from launch.actions import DeclareLaunchArgument
 from launch.substitutions import LaunchConfiguration
+from launch_ros.parameter_descriptions import ParameterValue
+
+_ARM = {
+    "urdf": ("urdf_file", str, "", "the arm's robot description, a file; empty: the Galen"),
+    "base_frame": ("base_frame", str, "", "of gravity and poses; empty: the root link"),
+    "sensor_frame": ("sensor_frame", str, "ft_sensor", "that wrenches are written in"),
+    "gravity": (
+        "gravity_m_s2",
+        List[float],  # noqa: UP006 - launch knows no `list[float]`
+        "[0.0, 0.0, -9.80665]",
+        "in base_frame, m/s^2, each with a decimal point",
+    ),
+}
+"""Parameter, type, default and description by argument."""
 
 COMMON = {
     "namespace": ("", "of all nodes"),
+    **{argument: told[2:] for argument, told in _ARM.items()},
     "enclaves": ("/galen", "where SROS 2 has the nodes' enclaves"),
     "tool": ("", "tool whose calibration gravcomp loads, and on a simulated arm; empty: none"),
     "tools_dir": ("~/.ros/galen/tools", "the calibration files"),
@@ -27,6 +42,14 @@ def declare(arguments: dict[str, tuple[Any, str]]) -> list[Any]:
         DeclareLaunchArgument(name, default_value=default, description=description)
         for name, (default, description) in arguments.items()
     ]
+
+
+def arm_parameters() -> dict[str, Any]:
+    """Make a node's parameters of which arm it is."""
+    return {
+        parameter: ParameterValue(LaunchConfiguration(argument), value_type=kind)
+        for argument, (parameter, kind, *_) in _ARM.items()
+    }
 
 
 def enclave(node: str) -> list[Any]:

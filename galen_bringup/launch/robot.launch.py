@@ -3,12 +3,13 @@
     ros2 launch galen_bringup robot.launch.py tool:=pointer wrench_raw:=/ft_sensor/wrench
     ros2 launch galen_bringup robot.launch.py tool:=pointer deflection_model:=pointer_model.json
     ros2 launch galen_bringup robot.launch.py panel:=true
+    ros2 launch galen_bringup robot.launch.py use_robot_description:=true sensor_frame:=tool0
 
 `crtk:=true` takes the names of JHU's Collaborative Robotics Toolkit as input instead: the measured
 wrench `measured_cf` and the joints `measured_js`, under `crtk_namespace`.
 """
 
-from galen_bringup.launch_arguments import COMMON, declare, enclave
+from galen_bringup.launch_arguments import COMMON, arm_parameters, declare, enclave
 from launch import LaunchDescription
 from launch.conditions import IfCondition
 from launch.substitutions import (
@@ -21,7 +22,15 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
-_TOPICS = ("wrench_raw", "joint_states", "imu", "wrench_compensated", "joint_trajectory")
+_TOPICS = (
+    "wrench_raw",
+    "joint_states",
+    "imu",
+    "temperature",
+    "wrench_compensated",
+    "joint_trajectory",
+    "robot_description",
+)
 _CRTK = {"wrench_raw": "measured_cf", "joint_states": "measured_js"}
 
 
@@ -43,7 +52,14 @@ def generate_launch_description() -> LaunchDescription:
     }
     config = LaunchConfiguration("config")
     model = LaunchConfiguration("deflection_model")
+    arm = {
+        **arm_parameters(),
+        "use_robot_description": ParameterValue(
+            LaunchConfiguration("use_robot_description"), value_type=bool
+        ),
+    }
     overrides = {
+        **arm,
         "use_sim_time": ParameterValue(LaunchConfiguration("use_sim_time"), value_type=bool),
         "tools_dir": ParameterValue(LaunchConfiguration("tools_dir"), value_type=str),
     }
@@ -57,6 +73,7 @@ def generate_launch_description() -> LaunchDescription:
                     ),
                     **COMMON,
                     "use_sim_time": ("false", "follow /clock"),
+                    "use_robot_description": ("false", "the arm is that of robot_description"),
                     "crtk": ("false", "inputs by their CRTK names"),
                     "crtk_namespace": ("/REMS/Research", "where they are"),
                     **{topic: (topic, f"{topic} on this arm") for topic in _TOPICS},
@@ -90,7 +107,7 @@ def generate_launch_description() -> LaunchDescription:
                 condition=IfCondition(NotEqualsSubstitution(model, "")),
                 parameters=[
                     config,
-                    {"use_sim_time": overrides["use_sim_time"]},
+                    {**arm, "use_sim_time": overrides["use_sim_time"]},
                     {"model_file": ParameterValue(model, value_type=str)},
                 ],
                 **common,
@@ -106,6 +123,7 @@ def generate_launch_description() -> LaunchDescription:
                     *("--tools-dir", LaunchConfiguration("tools_dir")),
                     *("--bags-dir", LaunchConfiguration("bags_dir")),
                 ],
+                parameters=[arm],
                 condition=IfCondition(LaunchConfiguration("panel")),
                 # Plots may wait, wrenches may not; but a cancel must get through on a busy machine.
                 prefix="nice -n 5",

@@ -1,9 +1,10 @@
 """Simulated arm, calibration and compensation; deflection if a model is given, panel if asked for.
 
 ros2 launch galen_bringup simulation.launch.py speed_factor:=5 tool:=pointer panel:=true
+ros2 launch galen_bringup simulation.launch.py urdf:=arm.urdf sensor_frame:=tool0
 """
 
-from galen_bringup.launch_arguments import COMMON, declare, enclave
+from galen_bringup.launch_arguments import COMMON, arm_parameters, declare, enclave
 from launch import LaunchDescription
 from launch.actions import IncludeLaunchDescription
 from launch.substitutions import (
@@ -45,6 +46,7 @@ def generate_launch_description() -> LaunchDescription:
                 parameters=[
                     config,
                     {
+                        **arm_parameters(),
                         "speed_factor": ParameterValue(speed, value_type=float),
                         "initial_tool": ParameterValue(LaunchConfiguration("tool"), value_type=str),
                     },

@@ -6,6 +6,8 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from galen_ros.arm import ArmParameters
+from galen_ros.parameters import param_fields
 
 LAUNCH = Path(__file__).resolve().parent.parent / "launch"
 
@@ -59,6 +61,18 @@ def test_one_argument_names_the_tool_on_the_arm_and_in_the_compensation(launched
     gravcomp = launched("robot.launch.py")["gravcomp_node"]
     for value in (parameter(driver, "initial_tool"), parameter(gravcomp, "tool")):
         assert value.arguments == (argument("tool"),)
+
+
+@pytest.mark.parametrize("name", ["simulation.launch.py", "robot.launch.py"])
+def test_every_node_is_told_which_arm_it_is(launched, name):
+    told = {"urdf_file": "urdf", "gravity_m_s2": "gravity"}
+    told |= {frame: frame for frame in ("base_frame", "sensor_frame")}
+    if name == "robot.launch.py":
+        told["use_robot_description"] = "use_robot_description"
+    for node in launched(name).values():
+        for asked, given in told.items():
+            assert parameter(node, asked).arguments == (argument(given),)
+    assert told.keys() <= set(param_fields(ArmParameters))
 
 
 @pytest.mark.parametrize("name", ["simulation.launch.py", "robot.launch.py"])

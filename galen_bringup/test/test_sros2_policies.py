@@ -34,7 +34,7 @@ RULES = {
     ("services", "request"), ("actions", "execute"), ("actions", "call"),
 }  # fmt: skip
 ALONE = {"player"}  # says what a driver says
-OUTSIDE = {"imu", "joint_trajectory"}  # whoever has an IMU, or moves the arm
+OUTSIDE = {"imu", "joint_trajectory", "temperature"}  # whoever has that sensor, or moves the arm
 NODES = {
     SimDriverNode: {"speed_factor": 2.0},  # at another speed there is /clock
     GravcompNode: {"motion": "imu"},
@@ -180,7 +180,7 @@ def test_recorders_may_hear_what_they_record(tmp_path):
     recorded = {f"/{name}" for name in collection_node._RECORDED}
     assert allowed_to("collection_recorder")["subscribe"] == recorded | {"/clock"}
     contract = set().union(*(allowed_to(name)["publish"] for name in ("sim_driver", "gravcomp")))
-    contract |= allowed_to("deflection")["publish"] | {"/imu"}
+    contract |= allowed_to("deflection")["publish"] | {"/imu", "/temperature"}
     heard = allowed_to("recorder")["subscribe"]
     assert {name for name in heard if name not in contract | {"/clock"}} == set()
     values = parameters(use_sim_time=True)

@@ -24,6 +24,7 @@ from std_srvs.srv import Trigger
 from galen_calibration_behavior.calibration.estimate import format_result
 from galen_calibration_behavior.commands import (
     CALIBRATION_PHASES,
+    WARNING,
     CalibrationCode,
     CalibrationState,
 )
@@ -54,7 +55,8 @@ class CalibrateClient(GoalClient):
         return CalibrateTool.Goal(
             tool=options.tool,
             one_sweep=options.one_sweep,
-            attach_by_service=not options.by_hand,
+            attach_by_service=not (options.confirm or options.by_hand),
+            by_hand=options.by_hand,
             tip_m=[math.nan] * 3 if options.tip is None else options.tip,
             iters_t=options.iters_t,
             iters_r=options.iters_r,
@@ -64,7 +66,8 @@ class CalibrateClient(GoalClient):
         """Show it, and ask a person where the node waits for one."""
         self._show(feedback)
         asks = feedback.state in (CalibrationState.REMOVE_TOOL, CalibrationState.ATTACH_TOOL)
-        if self.options.by_hand and asks and self._asked != feedback.state:
+        by_person = self.options.confirm or self.options.by_hand
+        if by_person and asks and self._asked != feedback.state:
             if sys.stdin.isatty():
                 # An Enter from before the question must not answer it: the arm would move.
                 termios.tcflush(sys.stdin, termios.TCIFLUSH)
@@ -95,10 +98,13 @@ class CalibrateClient(GoalClient):
         """Return the bar, or without a terminal a line for each state; and each bad pose."""
         state = CalibrationState(feedback.state)
         self.bar.show(CALIBRATION_PHASES[state], feedback.done, feedback.total)
-        if not self.bar.active and state != self._state:
+        sweeps = (CalibrationState.SWEEP_BARE, CalibrationState.SWEEP_TOOL)
+        guides = self.options.by_hand and state in sweeps and not len(feedback.angles)
+        if feedback.message.startswith(WARNING):
+            self.bar.line(feedback.message)
+        elif guides or (not self.bar.active and state != self._state):
             self.bar.line(f"[{feedback.done}/{feedback.total}] {feedback.message}")
-        rejected = len(feedback.angles) > 0 and not feedback.accepted
-        if rejected:
+        if len(feedback.angles) and not feedback.accepted:
             self.bar.line(f"  {feedback.message}")
         self._state = state
 
@@ -128,10 +134,17 @@ def parse(arguments: list[str]) -> argparse.Namespace:
         " distinguished (a warning names what is not known)",
     )
     parser.add_argument(
+        "--confirm",
+        action="store_true",
+        help="an operator removes the tool and puts it on, and presses Enter here"
+        " (default: the driver's service attach_tool does it)",
+    )
+    parser.add_argument(
         "--by-hand",
         action="store_true",
-        help="a person takes the tool off and puts it on, and presses Enter here"
-        " (default: the driver's service attach_tool does it)",
+        help="an operator also moves the arm, by freedrive or pendant: each rest segment in a new"
+        " orientation is taken; what is identified so far and which orientation is missing is"
+        " shown, and the sweep ends at the wanted precision (parameters by_hand_std_n, _nm)",
     )
     parser.add_argument(
         "--iters-t", type=whole(0, 100), default=0, help="number of tilts; 0: the node's"

@@ -11,18 +11,24 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from galen_bags.arrays.arm_recording import ArmTopics
+from galen_bags.arrays.arm_recording import ArmTopics, arm_of_bag
+from galen_bags.formats.bag import open_bag
+from galen_bags.formats.files import is_bag
+from galen_model.arm.arm import Arm
 from galen_model.arm.clearance import ObstacleError
 from galen_model.arrays import Array
 from galen_model.errors import GalenError, IdentificationError, ToolNameError
 from galen_model.files.calibration_file import check_tool_name
-from galen_model.load.drifting_identification import BiasMode
+from galen_model.load.drifting_bias import BiasShape, Shape
 from galen_model.load.mounting.mounting import GROUPS, entities
 from galen_model.poses.design import compensation_std, reading_noise
-from galen_model.poses.plan import drift_share, plan_as_is
-from galen_ros.command import EXIT_OK, add_json, make_parser, positive, run_command
+from galen_model.poses.order import drift_price
+from galen_model.poses.plan import order_poses, plan_as_is
+from galen_ros.arm import add_arm, arm_parameters, chosen_arm, names_of_joints
+from galen_ros.command import EXIT_FAILED, EXIT_OK, add_json, make_parser, positive, run_command
 from galen_ros.parameters import ParameterError, checked, param_fields
 
+from galen_bags import BagError
 from galen_calibration_behavior.from_bag.loads import estimate_loads
 from galen_calibration_behavior.from_bag.parts import add_part, remove_cable
 from galen_calibration_behavior.parameters import CalibrationParameters
@@ -31,21 +37,25 @@ _RATE_HZ = 500.0  # the contract's, of wrench_raw
 
 
 def propose_poses(options: argparse.Namespace) -> dict[str, Any]:
-    """Choose as the options say, print it unless as JSON; raises GalenError."""
+    """Choose as the options say, print it unless as JSON; raises GalenError.
+
+    Of another arm than the Galen around its zero pose, and without a grid to compare with.
+    """
     parameters = replace(options.parameters, poses="chosen")
     parameters.validate()
     tip = np.array(options.tip or [0.0, 0.0, 0.0])
     poses = parameters.plan(tip, one_sweep=options.one_sweep).poses
-    grid = parameters.grid_poses(parameters.itersT, parameters.itersR)
-    try:
-        plan_as_is(grid, parameters.range, parameters.surroundings, tip)
-        grid_fault = ""
-    except ObstacleError as error:
-        grid_fault = str(error)
-    promises = {
-        "grid": _promise(grid, replace(parameters, poses="grid")),
-        "chosen": _promise(poses, parameters),
-    }
+    grid, grid_fault, promises = np.empty((0, poses.shape[1])), "", {}
+    if parameters.has_home:
+        grid = parameters.grid_poses(parameters.itersT, parameters.itersR)
+        try:
+            plan_as_is(grid, parameters.range, parameters.surroundings, tip)
+        except ObstacleError as error:
+            grid_fault = str(error)
+        on_grid = replace(parameters, poses="grid")
+        grid = order_poses(grid, on_grid.times())
+        promises["grid"] = _promise(grid, on_grid)
+    promises["chosen"] = _promise(poses, parameters)
     if not options.json:
         print(f"{_format_poses(poses, parameters)}\n\n{_format_promises(promises)}")
         if grid_fault:
@@ -59,42 +69,51 @@ def propose_poses(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def _promise(poses: Array, parameters: CalibrationParameters) -> dict[str, float]:
-    """Return what poses (n, 2), rad, in visiting order make of the compensation, by theory; SI.
+    """Return what poses (n, k), rad, in visiting order make of the compensation, by theory; SI.
 
     The standard deviations are the root mean square over workspace and three axes, the sensor's
-    noise taken as white; drift_share: how far a linear drift looks like load, 0 to 1.
+    noise taken as white; line_price, walk_price: how many times larger a drift makes the load's
+    standard deviation, a straight one, or a walk of 3 standard deviations of an average.
     """
     times, average_s = parameters.times(), parameters.of_sweep().average_s
-    std = compensation_std(poses, reading_noise() / np.sqrt(average_s * _RATE_HZ))
+    gravity, at_s = parameters.arm.gravity_in_sensor(poses), times.at_s(poses)
+    arm, noise = parameters.arm, reading_noise() / np.sqrt(average_s * _RATE_HZ)
+    std = compensation_std(poses, noise, arm)
     return {
         "poses": len(poses),
         "average_s": average_s,
         "sweep_s": times.sweep_s(poses),
         "force_std_n": float(np.sqrt(np.mean(std[:3] ** 2))),
         "torque_std_nm": float(np.sqrt(np.mean(std[3:] ** 2))),
-        "drift_share": drift_share(poses, times.at_s(poses)),
+        "line_price": drift_price(gravity, at_s, (BiasShape(Shape.LINEAR),) * 6),
+        "walk_price": drift_price(gravity, at_s, (BiasShape(Shape.WALK, 3.0),) * 6),
     }
 
 
 def _format_poses(poses: Array, parameters: CalibrationParameters) -> str:
     times = parameters.times()
-    heads = "".join(f"{name + ' [rad]':>12}" for name in parameters.arm.turning_names)
+    names = [f"{name} [rad]" for name in parameters.arm.turning_names]
+    widths = [max(12, len(name) + 2) for name in names]
+    heads = "".join(f"{name:>{width}}" for name, width in zip(names, widths, strict=True))
     lines = [f"{'pose':>4}{heads}{'from [s]':>10}"]
     starts = times.at_s(poses) - times.stay_s
     for index, (angles, start) in enumerate(zip(poses, starts, strict=True)):
-        lines.append(f"{index:4}{''.join(f'{angle:12.4f}' for angle in angles)}{start:10.1f}")
+        row = "".join(f"{at:{width}.4f}" for at, width in zip(angles, widths, strict=True))
+        lines.append(f"{index:4}{row}{start:10.1f}")
     return "\n".join(lines)
 
 
 def _format_promises(rows: dict[str, dict[str, float]]) -> str:
     lines = [
-        f"{'':10}{'poses':>6}{'average':>9}{'sweep':>8}{'error of compensation':>26}{'drift':>7}",
-        f"{'':10}{'':>6}{'[s]':>9}{'[s]':>8}{'force [mN]':>12}{'torque [mN.m]':>14}{'R^2':>7}",
+        f"{'':10}{'poses':>6}{'average':>9}{'sweep':>8}{'error of compensation':>26}"
+        f"{'times, with drift':>19}",
+        f"{'':10}{'':>6}{'[s]':>9}{'[s]':>8}{'force [mN]':>12}{'torque [mN.m]':>14}"
+        f"{'line':>10}{'walk':>9}",
     ]
     lines += [
         f"{name:10}{row['poses']:6}{row['average_s']:9.2f}{row['sweep_s']:8.1f}"
         f"{row['force_std_n'] * 1e3:12.3f}{row['torque_std_nm'] * 1e3:14.4f}"
-        f"{row['drift_share']:7.3f}"
+        f"{row['line_price']:10.3f}{row['walk_price']:9.2f}"
         for name, row in rows.items()
     ]
     return "\n".join(lines)
@@ -106,7 +125,7 @@ _USAGE = """%(prog)s TOOL BAG [options]
        %(prog)s TOOL BAG --estimate inertia|cable [options]
        %(prog)s TOOL --remove-cable [options]
        %(prog)s --propose-poses [options]"""
-_NOTES = """BAG is a rosbag2 directory, .mcap, .db3 or ROS 1 .bag:
+_NOTES = """BAG is a rosbag2 directory, .mcap or .db3:
   both sweeps of still poses, first bare, then with the tool on;
   --estimate inertia: at least 12 s in which the arm swings, smoothly and fast, no contact;
   --estimate cable: a sweep of still poses with the cable on, no contact."""
@@ -147,12 +166,17 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     )
     parser.add_argument("--dry-run", action="store_true", help="print what is found, write nothing")
     add_json(parser)
+    add_arm(parser)
     _add_recording_options(parser.add_argument_group("where things are in the recording"))
-    options = parser.parse_args(arguments)
+    options = parser.parse_intermixed_args(arguments)  # TOOL, options, BAG in any order
     try:
-        options.parameters = _parameters(options.param)
+        arm = _arm(options)
+        names_of_joints(options.joint_names, arm)
+        options.parameters = _parameters(options.param, arm)
         if not options.propose_poses:
             check_tool_name(options.tool or "")
+    except BagError as error:
+        parser.exit(EXIT_FAILED, f"{_NAME}: {error}; nothing is written\n")
     except (GalenError, ToolNameError) as error:
         parser.error(str(error))
     _check_combination(parser, options)
@@ -223,14 +247,6 @@ def _add_estimate_options(group: argparse._ArgumentGroup) -> None:
     group.add_argument(
         "--known-com-std-m", type=positive, metavar="M", help="and its standard deviation"
     )
-    group.add_argument(
-        "--bias",
-        type=BiasMode,
-        choices=list(BiasMode),
-        default=BiasMode.CONSTANT,
-        help="the sensor's bias over a sweep: constant; drifting; or whichever of them held-out"
-        " blocks of poses prefer (default: %(default)s)",
-    )
 
 
 def _add_recording_options(group: argparse._ArgumentGroup) -> None:
@@ -239,14 +255,35 @@ def _add_recording_options(group: argparse._ArgumentGroup) -> None:
     group.add_argument("--wrench-raw", default=topics.wrench_raw, metavar="TOPIC")
     group.add_argument(
         "--joint-names",
-        nargs=5,
-        default=topics.joint_names,
+        nargs="+",
+        default=(),
         metavar="NAME",
-        help=f"default: {' '.join(topics.joint_names)}",
+        help="names of the joints (default: the arm's)",
     )
 
 
-def _parameters(given: list[str]) -> CalibrationParameters:
+def _arm(options: argparse.Namespace) -> Arm:
+    """Return the arm of the options, else of the recording's description, else the Galen.
+
+    Raises GalenError, BagError where the recording's description has no such arm.
+    """
+    bag = options.bag or options.bare
+    if bag is None or not is_bag(Path(bag)):  # the error is for what reads it
+        return chosen_arm(options)
+    topics = ArmTopics(options.joint_states, options.wrench_raw)
+    try:
+        with open_bag(bag) as opened:
+            return arm_of_bag(opened, arm_parameters(options), topics)
+    except BagError:  # likewise
+        return chosen_arm(options)
+    except GalenError as error:
+        if options.urdf or options.sensor_frame:
+            raise
+        remedy = "--sensor-frame names the frame that the wrenches are written in"
+        raise BagError(f"{bag}: {error}; {remedy}") from error
+
+
+def _parameters(given: list[str], arm: Arm) -> CalibrationParameters:
     """Return the node's parameters with those given as NAME:=VALUE; raises GalenError."""
     fields = param_fields(CalibrationParameters)
     values = {}
@@ -260,7 +297,7 @@ def _parameters(given: list[str]) -> CalibrationParameters:
         except ValueError:
             read = value
         values[name] = checked(name, read, hint, meaning)
-    parameters = replace(CalibrationParameters(), **values)
+    parameters = CalibrationParameters(arm=arm, **values)
     parameters.validate()
     return parameters
 
@@ -308,12 +345,10 @@ def _check_estimate(parser: argparse.ArgumentParser, options: argparse.Namespace
         parser.error("--known-com-m and --known-com-std-m belong together")
     if options.known_com_m is not None and options.known_mass_kg is None:
         parser.error("--known-com-m needs --known-mass-kg")
-    if options.bias is not BiasMode.CONSTANT and options.estimate:
-        parser.error("--estimate is for a constant bias")
     if options.known_mass_kg is not None and (parts or not options.estimate):
         parser.error("--known-mass-kg is for --estimate of gains")
     try:
-        entities(() if parts else options.estimate)
+        entities(() if parts else options.estimate, options.parameters.arm)
     except IdentificationError as error:
         parser.error(f"--estimate: {error}")
 

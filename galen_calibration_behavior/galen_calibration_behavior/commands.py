@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from galen_model.arrays import Array
-from galen_model.load.drifting_identification import BiasMode
 from galen_model.load.identification import StillPoses
 from galen_ros.goal.procedure import End, MoveTo, Stop
 
@@ -88,6 +87,10 @@ class AttachTool:
     tool: str
 
 
+WARNING = "warning: "
+"""Begins feedback that an operator must see before the arm moves."""
+
+
 @dataclass(frozen=True)
 class PoseFeedback:
     """Feedback of either action; angles (k,), rad, and wrench (6,) of the pose just finished."""
@@ -108,8 +111,6 @@ class Measurements:
     """Identify the load from these, write the file; answer with `on_estimated` or `fail`.
 
     The zero pose (rad) is where the sensor was zeroed.
-
-    `bias_mode`: whether the sensor's bias may drift over a sweep; then the poses need times.
     """
 
     bare: StillPoses | None
@@ -119,7 +120,6 @@ class Measurements:
     tool_indices: list[int]
     rejected: list[str]
     warnings: list[str]
-    bias_mode: BiasMode = BiasMode.CONSTANT
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,8 @@ class CalibrationNode(GoalNode):
         super().__init__(
             "calibration", CalibrationParameters, (CalibrateAction, CheckAction), **kwargs
         )
+
+    def _set_up(self) -> None:
         self.status_values["tools_dir"] = Path(self.settings.tools_dir).expanduser()
         with suppress(GalenError):  # a goal's error says why its poses can't be
             self.status_values["sweep_s"] = self.settings.sweep_s()

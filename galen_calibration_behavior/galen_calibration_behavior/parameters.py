@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from galen_model.arm.clearance import boxes_from_numbers
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.load.identification import check_planned_poses
+from galen_model.load.mounting.identification import check_planned_mounting
 from galen_model.load.mounting.mounting import entities
 from galen_model.poses.plan import (
     Surroundings,
-    SweepGrid,
     SweepPlan,
     SweepRange,
     SweepTimes,
+    order_poses,
     plan_as_is,
     plan_chosen,
+    sweep_grid,
 )
 from galen_ros.goal.parameters import PoseParameters
 from galen_ros.parameters import ParameterError, param
@@ -28,7 +31,7 @@ MAX_ITERS = 100  # so that the feedback's counts of poses, uint16, hold two swee
 MAX_CHOSEN = 60  # more take long to choose and to order, and are no better than a grid
 MAX_LISTED = 1000
 MOST_CHECK_POSES = 12
-POSES = ("grid", "chosen", "listed")
+POSES = ("auto", "grid", "chosen", "listed")
 
 
 @dataclass(frozen=True)
@@ -40,7 +43,7 @@ class CalibrationParameters(PoseParameters):
     obstacles: tuple[float, ...] = param(
         (),
         "boxes that the arm keeps away from, six numbers each: smallest x, y, z, largest x, y, z,"
-        " in `base_link`, m",
+        " in the base frame, m",
     )
     obstacle_clearance_m: float = param(0.03, "how far it keeps away from them", 0.0, 1.0)
 
@@ -57,10 +60,18 @@ class CalibrationParameters(PoseParameters):
     Thome: float = param(0.0, "tilt at home, where the sensor is zeroed, rad")
 
     poses: str = param(
-        "grid",
+        "auto",
         "which poses a sweep visits: `grid`, all tilts at all rolls, `chosen`, those in the"
-        " grid's range that tell most, see *Fewer poses*, or `listed`, those of"
-        " `listed_poses_rad`",
+        " grid's range, or around another arm's present pose, that tell most, see *Fewer poses*,"
+        " or `listed`, those of `listed_poses_rad`; `auto`: the Galen's grid, another arm's chosen"
+        " ones",
+    )
+    pose_box_rad: float = param(
+        1.2,
+        "half width of the box around another arm's present angles, where its sensor is zeroed,"
+        " in which its chosen poses lie, rad",
+        0.05,
+        3.2,
     )
     listed_poses_rad: tuple[float, ...] = param(
         (),
@@ -91,6 +102,14 @@ class CalibrationParameters(PoseParameters):
         600.0, "time for an operator to put the tool on or to remove it", 1.0, 86_400.0
     )
 
+    by_hand_std_n: float = param(
+        0.02,
+        "a sweep by hand ends when the compensation is known to this on average (1 sigma), N",
+        1e-4,
+        10.0,
+    )
+    by_hand_std_nm: float = param(0.001, "likewise, N·m", 1e-6, 1.0)
+
     check_poses: int = param(6, "number of a check's poses", FEWEST_POSES, MOST_CHECK_POSES)
     check_reach_rad: float = param(
         0.5, "a check's poses lie within this of the present angles, rad", 0.1, 1.5
@@ -103,26 +122,32 @@ class CalibrationParameters(PoseParameters):
         0.05, "how often chance alone may look like a change, before the limits", 1e-6, 0.5
     )
 
+    present: Array | None = field(default=None, repr=False, compare=False)
+    """Where an arm without a home of its own stands, (n,), m and rad; None: at zero."""
+
     def validate(self) -> None:
         """Reject a home or a sweep outside the joint limits, and what can't be estimated.
 
         Raises GalenError naming the joint, IdentificationError naming the group, ObstacleError
         naming the box, ParameterError naming the parameter.
         """
-        for name, value, low, high in zip(
-            ("Xhome", "Yhome", "Zhome", "Rhome", "Thome"),
-            self.home.tolist(),
-            self.arm.lower,
-            self.arm.upper,
-            strict=True,
-        ):
+        homes = ("Xhome", "Yhome", "Zhome", "Rhome", "Thome") if self.has_home else ()
+        limits = zip(homes, self.home, self.arm.lower, self.arm.upper, strict=False)
+        for name, value, low, high in limits:
             if not low <= value <= high:
                 raise GalenError(f"{name} = {value:g} is outside its limits, {low:g} ... {high:g}")
-        entities(self.estimate)
-        self.grid_poses(self.itersT, self.itersR)
+        entities(self.estimate, self.arm)
         if self.poses not in POSES:
-            names = " or ".join(map(repr, POSES))
-            raise ParameterError(f"parameter 'poses' is {self.poses!r}, but must be {names}")
+            raise ParameterError(
+                f"parameter 'poses' is {self.poses!r}, but must be {' or '.join(map(repr, POSES))}"
+            )
+        if self.has_home:
+            self.grid_poses(self.itersT, self.itersR)
+        elif self.poses == "grid":
+            raise ParameterError(
+                f"parameter 'poses' is 'grid', which is one of the Galen's tilts and rolls; the arm"
+                f" is '{self.arm.name}': set it to 'chosen' or 'listed'"
+            )
         if self.poses == "listed":
             self.listed_poses()
         boxes_from_numbers(self.obstacles)
@@ -130,11 +155,31 @@ class CalibrationParameters(PoseParameters):
     @property
     def surroundings(self) -> Surroundings:
         """The obstacles."""
-        return Surroundings(boxes_from_numbers(self.obstacles), self.obstacle_clearance_m)
+        return Surroundings(
+            boxes_from_numbers(self.obstacles),
+            self.obstacle_clearance_m,
+            self.require_collision_shapes,
+        )
+
+    @property
+    def has_home(self) -> bool:
+        """Whether parameters say where home is: the Galen's do, others begin where they stand."""
+        return self.arm.joint_names == GALEN.joint_names
+
+    def standing_at(self, joints: Array) -> CalibrationParameters:
+        """Return the same of an arm that stands at joints (n,), which is inside its limits.
+
+        An arm that stands at a limit may read a little beyond it, where none may be sent.
+        """
+        inside = np.clip(joints, self.arm.lower, self.arm.upper)
+        near = np.abs(joints - inside) <= self.arrival.position_tolerance
+        return replace(self, present=np.where(near, inside, joints))
 
     @property
     def home(self) -> Array:
-        """Home (n,) in the arm's order, m and rad."""
+        """Home (n,) in the arm's order, m and rad; where the arm stands if it has none."""
+        if not self.has_home:
+            return self.arm.home if self.present is None else self.present
         return np.array([self.Xhome, self.Yhome, self.Zhome, self.Rhome, self.Thome])
 
     @property
@@ -153,6 +198,11 @@ class CalibrationParameters(PoseParameters):
         return np.array([self.zero_tolerance_n] * 3 + [self.zero_tolerance_nm] * 3)
 
     @property
+    def by_hand_std(self) -> Array:
+        """Wanted standard deviation (6,) of the compensation, N and N.m."""
+        return np.array([self.by_hand_std_n] * 3 + [self.by_hand_std_nm] * 3)
+
+    @property
     def check_limits(self) -> CheckLimits:
         """What a check judges a file by."""
         return CheckLimits(
@@ -160,15 +210,30 @@ class CalibrationParameters(PoseParameters):
         )
 
     @property
+    def pose_kind(self) -> str:
+        """Which poses a sweep visits: grid, chosen or listed."""
+        if self.poses != "auto":
+            return self.poses
+        return "grid" if self.has_home else "chosen"
+
+    @property
     def chosen(self) -> bool:
         """Whether the poses are chosen ones."""
-        return self.poses == "chosen"
+        return self.pose_kind == "chosen"
+
+    @property
+    def pose_count(self) -> int:
+        """How many poses a sweep visits."""
+        if self.poses == "listed":
+            return len(self.listed_poses())
+        return self.chosen_poses if self.chosen else self.itersT * self.itersR
 
     def grid_poses(self, tilts: int, rolls: int) -> Array:
         """Return the grid's angles (n, 2), rad; raises GalenError."""
-        grid = SweepGrid(self.tstart, self.tend, tilts, self.rstart, self.rend, rolls)
         lower, upper = self.angle_limits
-        return grid.poses(tuple(lower.tolist()), tuple(upper.tolist()))
+        return sweep_grid(
+            (self.tstart, self.tend, tilts), (self.rstart, self.rend, rolls), lower, upper
+        )
 
     def listed_poses(self) -> Array:
         """Return the listed poses (n, k), rad; raises GalenError."""
@@ -198,7 +263,7 @@ class CalibrationParameters(PoseParameters):
         is in the way, or what the poses don't identify.
         """
         if self.chosen:
-            return plan_chosen(
+            plan = plan_chosen(
                 self.chosen_poses,
                 self.range,
                 self.surroundings,
@@ -206,18 +271,35 @@ class CalibrationParameters(PoseParameters):
                 self.times(),
                 one_sweep=one_sweep,
             )
-        named = {}
-        if self.poses == "listed":
-            poses = self.listed_poses()
-            named = {"source": "listed_poses_rad", "remedy": "clear the space, or leave it out"}
         else:
-            poses = self.grid_poses(tilts or self.itersT, rolls or self.itersR)
-        check_planned_poses(poses, one_sweep=one_sweep, zero_angles=self.home_angles)
-        return plan_as_is(poses, self.range, self.surroundings, tip_m, **named)
+            named = {}
+            if self.poses == "listed":
+                poses = self.listed_poses()
+                named = {"source": "listed_poses_rad", "remedy": "clear the space, or leave it out"}
+            else:
+                poses = self.grid_poses(tilts or self.itersT, rolls or self.itersR)
+            check_planned_poses(
+                poses, one_sweep=one_sweep, zero_angles=self.home_angles, arm=self.arm
+            )
+            plan = plan_as_is(poses, self.range, self.surroundings, tip_m, **named)
+            if self.poses != "listed":
+                plan = replace(plan, poses=order_poses(poses, self.times(), self.arm))
+        if self.estimate:
+            check_planned_mounting(
+                plan.poses,
+                self.estimate,
+                one_sweep=one_sweep,
+                zero_angles=self.home_angles,
+                arm=self.arm,
+            )
+        return plan
 
     @property
     def range(self) -> SweepRange:
-        """Where the sweep may go: no further than its grid does."""
+        """Where the sweep may go: no further than its grid does, or than `pose_box_rad`."""
+        if not self.has_home:
+            remedy = f"enlarge pose_box_rad ({self.pose_box_rad:g} rad), or start from another pose"
+            return SweepRange.around(self.home, self.pose_box_rad, self.arm, remedy=remedy)
         return SweepRange(
             home=self.home,
             lower=(min(self.rstart, self.rend), min(self.tstart, self.tend)),
@@ -234,6 +316,8 @@ class CalibrationParameters(PoseParameters):
 
         Raises a GalenError that names what the poses don't tell.
         """
+        if not self.has_home and self.present is None:
+            raise GalenError("how long a sweep takes is known once the arm's pose is")
         free = replace(self, obstacles=())
         return self.times().sweep_s(free.plan(np.zeros(3)).poses)
 

@@ -14,15 +14,16 @@ STEP_NS = 10_000_000
 class FakeArm:
     """Steps by 10 ms. What the tests let go wrong is set through the public attributes."""
 
-    def __init__(self, seed=1, start=GALEN.home):
+    def __init__(self, seed=1, start=GALEN.home, arm=GALEN):
+        self.arm = arm
         self.random = np.random.default_rng(seed)
         self.stamp_ns = 1_000_000_000
         self.joints = np.array(start, float)
-        self.velocities = np.zeros(5)
+        self.velocities = np.zeros(len(arm.joints))
         self.tool = POINTER
         self.bias = np.zeros(6)
         self.ignored_joints = ()  # these don't follow commands
-        self.creep = np.zeros(5)  # rad/s or m/s at any time
+        self.creep = np.zeros(len(arm.joints))  # rad/s or m/s at any time
         self.report_velocity = True
         self.noise = SENSOR.noise_std.copy()
         self.touch = lambda arm: np.zeros(6)
@@ -49,10 +50,9 @@ class FakeArm:
 
     def true_reading(self):
         """Reading before bias, touch and noise; worked out anew only when something has changed."""
-        key = (self.joints[3], self.joints[4], id(self.tool))
+        key = (*self.arm.angles(self.joints), id(self.tool))
         if self._known[0] != key:
-            roll, tilt = self.joints[3:]
-            gravity = GALEN.gravity_in_sensor((roll, tilt))
+            gravity = self.arm.gravity_in_sensor(key[:-1])
             loads = gravity_wrench(gravity, self.tool) + gravity_wrench(gravity, ADAPTER)
             self._known = (key, loads)
         return self._known[1]

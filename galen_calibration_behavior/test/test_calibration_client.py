@@ -85,7 +85,7 @@ def test_enter_pressed_twice_answers_one_question(world):
     """The second one would send the arm off while a hand is still at the tool."""
     keyboard, terminal = pty.openpty()
     arm = world.driver.arm
-    with calibrate(world.harness, "pointer", "--by-hand", "--one-sweep", stdin=terminal) as client:
+    with calibrate(world.harness, "pointer", "--confirm", "--one-sweep", stdin=terminal) as client:
         for words, tool in (("take the tool off", type(arm.tool)(0.0)), ("put pointer", POINTER)):
             for line in client.process.stderr:
                 if words in line and "Enter" in line:

@@ -2,21 +2,28 @@ import json
 import math
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta, timezone
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from calibration_fake_arm import ADAPTER, NO_TOOL, POINTER
 from galen_calibration_behavior.calibration.estimate import (
     EstimateError,
+    calibration_fields,
     choose_tip,
     estimate,
+    format_mounting,
+    format_result,
+    mounting_fields,
 )
 from galen_calibration_behavior.commands import CalibrationCode, Measurements
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import read_calibration, write_calibration
-from galen_model.load.identification import StillPoses
+from galen_model.load.identification import StillPoses, identify_two_sweeps
 from galen_model.load.inertia import InertiaEstimate
 from galen_model.load.model import nominal_reading
+from galen_model.load.mounting.identification import Calibrated
+from scipy.spatial.transform import Rotation
 
 NAN = np.full(3, math.nan)
 TIP = np.array([0.15, 0.0, 0.05])
@@ -29,6 +36,13 @@ def still(tool, poses=POSES, seed=2, noise=2e-3):
     exact = nominal_reading(poses, tool, ADAPTER)
     wrench = exact + std * random.standard_normal(exact.shape)
     return StillPoses(poses, wrench, np.broadcast_to(std, exact.shape))
+
+
+def at(start_s, sweep, drift=0.0):
+    """Return the sweep 2 s a pose from start_s (s) on; drift: of the readings, std of one a s."""
+    time_s = start_s + 2.0 * np.random.default_rng(4).permutation(len(sweep))
+    walk = drift * time_s[:, None] * sweep.std_of_mean
+    return replace(sweep, wrench=sweep.wrench + walk, time_s=time_s)
 
 
 def calibrate(*arguments, **options):
@@ -49,14 +63,52 @@ def measurements(bare, tool, **changes):
 
 def test_two_sweeps_recover_the_load_and_write_it(tmp_path):
     path = tmp_path / "pointer.json"
-    done = calibrate(path, "pointer", TIP, measurements(still(NO_TOOL, seed=1), still(POINTER)), [])
+    both = at(0, still(NO_TOOL, seed=1)), at(60, still(POINTER))
+    done = calibrate(path, "pointer", TIP, measurements(*both), [])
     read = read_calibration(path)
+    assert read.model == "constant bias"
+    plain = identify_two_sweeps(*both, np.zeros(2)).load
+    assert read.load.mass_kg == pytest.approx(plain.mass_kg, abs=0.2 * plain.mass_std_kg)
     assert abs(read.load.mass_kg - 0.060) < 5 * read.load.mass_std_kg
     assert np.all(np.abs(read.load.com_m - POINTER.com_m) < 5 * read.load.com_std_m)
     assert read.tip_m == pytest.approx(TIP)
     assert read.poses_used == 20
     assert done.content.poses_rejected == ()
     assert json.loads(path.read_text())["tool"] == "pointer"
+
+
+def test_a_bias_that_drifts_is_chosen_and_told_in_the_file(tmp_path):
+    path = tmp_path / "pointer.json"
+    both = [at(0, still(NO_TOOL, seed=1), 0.5), at(60, still(POINTER), 0.5)]
+    done = calibrate(path, "pointer", TIP, measurements(*both), [])
+    off = done.content.load.mass_kg - POINTER.mass_kg
+    assert abs(off) < 3 * done.content.load.mass_std_kg
+    file = read_calibration(path)
+    assert "drift" in file.model
+    assert "block" in file.model_reason
+    result = SimpleNamespace(**calibration_fields(done), tool="", file="")
+    assert f"model: {file.model}" in format_result(result)
+
+
+def test_a_rotation_that_is_chosen_unasked_is_warned_of(tmp_path, monkeypatch):
+    turned = Rotation.from_rotvec([0.02, 0.02, 0.02]).as_matrix()
+    sweeps = [still(NO_TOOL, seed=1), still(POINTER)]
+    for sweep in sweeps:
+        sweep.wrench[:] = (sweep.wrench.reshape(-1, 2, 3) @ turned).reshape(-1, 6)
+
+    def choose(bare, tool, zero, _progress):
+        found = Calibrated(bare, tool, ("sensor_rotation",), zero, None).identify()
+        return replace(found, model="rotation of the sensor", reason="8 blocks")
+
+    monkeypatch.setattr(
+        "galen_calibration_behavior.calibration.estimate.choose_calibration", choose
+    )
+    done = calibrate(tmp_path / "pointer.json", "pointer", TIP, measurements(*sweeps), [])
+    mounting = read_calibration(done.path).mounting
+    assert mounting.sensor_rotvec_rad == pytest.approx([0.02] * 3, abs=2e-3)
+    assert any("by (1.1" in text and "push" in text for text in done.warnings)
+    assert mounting_fields(done) == mounting.to_json()
+    assert "rotation about x" in format_mounting(done)
 
 
 def test_parts_of_the_old_file_that_go_are_named(tmp_path):

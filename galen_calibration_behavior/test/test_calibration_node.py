@@ -2,6 +2,7 @@
 
 import json
 import math
+import threading
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from action_msgs.msg import GoalStatus
 from builtin_interfaces.msg import Duration
 from calibration_fake_arm import NO_TOOL, POINTER, FakeArm
 from diagnostic_msgs.msg import DiagnosticArray
+from galen_calibration_behavior.calibration.estimate import EstimateError, estimate
 from galen_calibration_behavior.commands import CalibrationCode as ErrorCode
 from galen_calibration_behavior.commands import CalibrationState as State
 from galen_calibration_behavior.commands import CheckCode, CheckState
@@ -20,7 +22,7 @@ from galen_ros.node.testing import Harness, parameters
 from geometry_msgs.msg import WrenchStamped
 from rclpy.action import ActionClient
 from rclpy.node import Node
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import JointState, Temperature
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -42,7 +44,7 @@ class FakeDriver(Node):
         self.moves = 0
         self.stops = 0
         self.paused = False
-        self.steps_a_tick = 10
+        self.sent = []
         self._joint_publisher = self.create_publisher(JointState, "joint_states", STREAM)
         self._wrench_publisher = self.create_publisher(WrenchStamped, "wrench_raw", STREAM)
         self.create_subscription(JointTrajectory, "joint_trajectory", self._on_trajectory, 10)
@@ -56,7 +58,7 @@ class FakeDriver(Node):
         if self.paused:
             return
         listened_to = self._joint_publisher.get_subscription_count() > 0
-        for _ in range(self.steps_a_tick):
+        for _ in range(10):
             stamp, position, velocity, wrench = self.arm.step()
             if not listened_to:  # leave the processor to those who start up
                 continue
@@ -65,6 +67,7 @@ class FakeDriver(Node):
                 fill_stamp(joints.header.stamp, stamp)
                 joints.position, joints.velocity = position.tolist(), velocity.tolist()
                 self._joint_publisher.publish(joints)
+                self.sent.append((position, velocity))
             if "wrench_raw" not in self.silent:
                 message = WrenchStamped()
                 message.header.frame_id = self.frame_id
@@ -213,6 +216,48 @@ def test_a_calibration_recovers_the_tool_and_writes_its_file(world):
     assert [f.done for f in poses] == list(range(1, 19))
 
 
+def test_a_sensor_that_drifts_is_calibrated_with_a_drifting_bias(world):
+    rate = 0.01 * np.array([1, 1, 1, 0.02, 0.02, 0.02])  # N/s, N.m/s: 0.1 N over a sweep
+    world.driver.arm.touch = lambda arm: 1e-9 * arm.stamp_ns * rate
+    status, result = world.result(world.send(iters_t=3, iters_r=4))
+    assert status == GoalStatus.STATUS_SUCCEEDED, result.error_msg
+    assert "drift" in result.model
+    assert "block" in result.model_reason
+    assert abs(result.mass_kg - 0.060) < 5 * result.mass_std_kg
+    assert read_calibration(result.file).model == result.model
+
+
+@pytest.mark.parametrize("canceled", [True, False])
+def test_nothing_is_written_where_it_ends_while_models_are_compared(world, monkeypatch, canceled):
+    compared, go_on = [], threading.Event()
+
+    def held(*arguments, **options):
+        compared.append((arguments[3], options["progress"]))
+        assert go_on.wait(30.0)
+        return estimate(*arguments, **options)
+
+    monkeypatch.setattr("galen_calibration_behavior.calibration.action.estimate", held)
+    warmth = world.client_node.create_publisher(Temperature, "temperature", 10)
+    world.client_node.create_timer(0.02, lambda: warmth.publish(Temperature(temperature=25.0)))
+    handle = world.send(iters_t=2, iters_r=4)
+    world.harness.wait_for(lambda: compared, 20.0, "the comparison")
+    told = "estimating: comparing models"
+    world.harness.wait_for(lambda: world.feedback[-1].message == told, 5.0, "feedback meanwhile")
+    (measurements, progress), *_ = compared
+    assert measurements.tool.temperature_c == pytest.approx([25.0] * 8)
+    progress("the next model")
+    if canceled:
+        world.cancel(handle)
+        status, result = world.result(handle)
+        assert (status, result.error_code) == (GoalStatus.STATUS_CANCELED, ErrorCode.CANCELED)
+    threading.Timer(0.1, go_on.set).start()
+    world.harness.remove(world.node)
+    assert go_on.is_set(), "it went before the comparison was over"
+    with pytest.raises(EstimateError):
+        progress("the next model")
+    assert world.files == []
+
+
 def test_a_second_calibration_keeps_the_tip_and_the_old_file(world):
     world.result(world.send(tip_m=[0.15, 0.0, 0.05], iters_t=2, iters_r=4))
     first = (world.tools_dir / "pointer.json").read_text()
@@ -281,6 +326,25 @@ def test_somebody_else_who_commands_the_arm_ends_it(world, points):
     assert status == GoalStatus.STATUS_SUCCEEDED, result.error_msg
 
 
+def test_a_cancel_sends_the_arm_to_where_it_brakes_then_no_points(world):
+    heard = []
+    world.client_node.create_subscription(JointTrajectory, "joint_trajectory", heard.append, 10)
+    handle = world.send()
+    world.wait_for_pose(1)
+    world.cancel(handle)
+    world.result(handle)
+    world.harness.wait_for(lambda: heard and not heard[-1].points, 5.0, "the stop")
+    (point,) = heard[-2].points
+    duration_s = point.time_from_start.sec + point.time_from_start.nanosec * 1e-9
+    # From the newest state that the node had, which a busy machine makes older than the arm's.
+    rests = [world.node.settings.braking(*state) for state in world.driver.sent]
+    assert any(
+        np.allclose(point.positions, rest, atol=1e-9) and abs(duration_s - needed_s) < 1e-6
+        for rest, needed_s in rests
+    )
+    assert world.driver.stops == 1
+
+
 def test_a_driver_that_goes_silent_ends_it_naming_the_topic(world):
     handle = world.send()
     world.wait_for_pose(1)
@@ -293,7 +357,7 @@ def test_a_driver_that_comes_back_has_lost_the_zero(world):
     handle = world.send()
     world.wait_for_pose(1)
     # Both lookups of the publishers have to fall on either side of the restart.
-    world.harness.wait_for(lambda: world.node._goal.publishers._known, 5.0, "the first lookup")
+    world.harness.wait_for(lambda: world.node._goal.exclusive._known, 5.0, "the first lookup")
     # A timer event that is already on the executor's queue must not publish any more.
     world.harness.call_in_executor(lambda: setattr(world.driver, "paused", True))
     world.harness.remove(world.driver)
@@ -302,6 +366,15 @@ def test_a_driver_that_comes_back_has_lost_the_zero(world):
     assert status == GoalStatus.STATUS_ABORTED
     assert result.error_code in (ErrorCode.DRIVER_SILENT, ErrorCode.MOTION_TIMEOUT)
     assert world.files == []
+
+
+def test_joints_of_a_gripper_come_beside_the_arms(world):
+    gripper = world.harness.add(lambda context: Node("gripper", context=context))
+    joints = gripper.create_publisher(JointState, "joint_states", STREAM)
+    gripper.create_timer(0.02, lambda: joints.publish(JointState(name=["finger"], position=[0.1])))
+    handle = world.send(iters_t=3, iters_r=3)
+    _, result = world.result(handle)
+    assert result.error_code == ErrorCode.NONE, result.error_msg
 
 
 def test_poses_that_tell_too_little_are_rejected_before_the_arm_moves(world):
@@ -374,19 +447,20 @@ def test_two_drivers_are_rejected(world):
     )
 
 
-def test_a_bug_ends_the_goal_and_not_the_node(world):
+def test_a_bug_ends_the_goal_and_not_the_node(world, monkeypatch):
     handle = world.send()
     world.wait_for_pose(1)
 
-    def bug(*_):
+    def bug(*_, **__):
         raise ZeroDivisionError("a bug")
 
     world.harness.call_in_executor(lambda: setattr(world.node._arm, "move", bug))
     world.fails(handle, ErrorCode.INTERNAL, "ZeroDivisionError: a bug")
     assert world.driver.stops == 1
     world.harness.call_in_executor(lambda: delattr(world.node._arm, "move"))
-    status, result = world.result(world.send(iters_t=2, iters_r=4))
-    assert status == GoalStatus.STATUS_SUCCEEDED, result.error_msg
+    monkeypatch.setattr("galen_calibration_behavior.calibration.action.estimate", bug)
+    world.fails(world.send(iters_t=2, iters_r=4), ErrorCode.INTERNAL, "ZeroDivisionError: a bug")
+    world.fails(world.send(tool="../drill"), ErrorCode.INVALID_NAME, "drill")
 
 
 def test_joint_states_in_another_order_with_other_joints_are_fine(world):

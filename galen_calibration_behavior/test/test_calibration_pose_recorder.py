@@ -212,3 +212,22 @@ def test_a_touched_pose_is_told_from_the_others(kind):
     assert isinstance(touched, PoseRecord)
     assert "fy" in wrench_fault(touched, [*records, touched], STILLNESS)
     assert not any(wrench_fault(r, [*records, touched], STILLNESS) for r in records)
+
+
+def test_a_pose_at_half_a_turn_of_an_endless_joint_is_averaged_there():
+    roll = dataclasses.replace(GALEN.joints[3], lower=-np.inf, upper=np.inf)
+    endless = dataclasses.replace(GALEN, joints=(*GALEN.joints[:3], roll, GALEN.joints[4]))
+    target = GALEN.home + np.array([0.0, 0.0, 0.0, np.pi, 0.0])
+    arm = FakeArm(start=target)
+    arm.report_velocity = False
+
+    def tremble(arm, recorder):
+        """Stay within 1e-4 rad of half a turn, reported on either side of it."""
+        sign = 1.0 if arm.stamp_ns // 10_000_000 % 2 else -1.0
+        arm._from[3] = arm._to[3] = sign * (np.pi - 1e-5)
+
+    arrival = dataclasses.replace(ARRIVAL, arm=endless)
+    result = record(arm, target, arrival=arrival, each=tremble)
+    assert isinstance(result, PoseRecord), result
+    assert abs(abs(result.joints[3]) - np.pi) < 1e-4
+    assert result.joint_span[3] < 1e-4

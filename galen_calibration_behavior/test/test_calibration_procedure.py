@@ -196,21 +196,21 @@ def test_cancel_in_every_state_stops_the_arm_and_waits_for_it(state):
     assert world.end.error_msg.endswith("the tool is still off: put it on again") == off
 
 
-def test_cancel_while_estimating_writes_nothing():
+@pytest.mark.parametrize("canceled", [True, False])
+def test_while_it_estimates_the_arm_may_go(canceled):
     world = World()
-    world.run(lambda w: w.procedure.state == State.SWEEP_TOOL and w.procedure.progress[0] == 11)
-    while world.procedure.state != State.ESTIMATE:
-        stamp, position, velocity, wrench = world.arm.step()
-        world.procedure.on_joints(stamp, position, velocity)
-        world.procedure.on_wrench(stamp, wrench)
-        for command in world.procedure.take_commands():
-            if not isinstance(command, Measurements):
-                world.commands.append(command)
-                world._obey_one(command)
-    world.procedure.cancel()
-    world.procedure.on_estimated()  # too late, and not believed
-    world.run()
-    failed(world, ErrorCode.CANCELED)
+    world.procedure.on_estimated = lambda: None
+    world.run(lambda w: w.estimate is not None)
+    del world.procedure.on_estimated
+    world.dead = {"joint_states", "wrench_raw"}
+    with pytest.raises(AssertionError, match="no end in 10 s"):
+        world.run(limit_s=10)
+    if canceled:
+        world.procedure.cancel()
+    world.procedure.on_estimated()  # after a cancel too late, and not believed
+    world.run(limit_s=0.1)
+    assert world.end.error_code == (ErrorCode.CANCELED if canceled else ErrorCode.NONE)
+    assert not world.of(Stop)
 
 
 def test_an_arm_that_does_not_stop_after_a_cancel_is_told():
@@ -360,6 +360,25 @@ def test_a_touched_pose_is_tried_again_at_the_end_of_the_sweep():
     assert [f.message.split(":")[0] for f in rejected] == ["tool/4"]
     assert "tried again" in rejected[0].message
     assert len(world.estimate.tool) == 6
+    assert world.estimate.tool.time_s.argmax() == 4
+    assert world.estimate.tool.temperature_c is None
+
+
+def test_poses_have_the_times_of_their_averages_and_the_sensor_s_temperature():
+    world = World()
+    step = world.arm.step
+
+    def warming():
+        world.procedure.temperature_c = 20.0 + 1e-9 * world.arm.stamp_ns
+        return step()
+
+    world.arm.step = warming
+    found = world.run().estimate
+    time_s = np.concatenate([found.bare.time_s, found.tool.time_s])
+    assert time_s[0] == 0.0
+    assert np.all(np.diff(time_s) > SETTINGS.average_s)
+    temperature_c = np.concatenate([found.bare.temperature_c, found.tool.temperature_c])
+    assert temperature_c - temperature_c[0] == pytest.approx(time_s, abs=0.011)
 
 
 def test_a_pose_that_is_never_still_is_left_out_and_listed():
@@ -440,3 +459,14 @@ def test_a_hopeless_sweep_ends_early():
     world.arm.touch = lambda arm: np.full(6, np.nan)
     world.run()
     failed(world, ErrorCode.BAD_INPUT, "3 poses in a row", "fx", "not finite")
+
+
+def test_warnings_are_told_before_the_arm_moves():
+    world = World(warnings=("the tip is not known",)).run(until=lambda w: w.of(MoveTo))
+    kinds = [type(c) for c in world.commands]
+    told = [c.message for c in world.of(PoseFeedback)]
+    assert "warning: the tip is not known" in told
+    first_told = next(
+        k for k, c in enumerate(world.commands) if "warning: " in getattr(c, "message", "")
+    )
+    assert first_told < kinds.index(MoveTo)

@@ -160,6 +160,7 @@ def test_a_recording_in_which_no_tool_came_on_is_rejected_and_told_what_it_may_b
         two_sweeps(tape)
 
 
+@pytest.mark.slow
 def test_a_light_tool_is_found_or_rejected_but_never_put_on_at_a_wrong_place():
     outcomes = []
     for mass in (0.0008, 0.0015, 0.002, 0.003, 0.006):

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 
 import numpy as np
 import pytest
@@ -12,14 +13,17 @@ from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_model.arm.clearance import ArmClearance, ObstacleError, boxes_from_numbers
 from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError, NotExcitedError
-from galen_model.load.identification import plain_least_squares
-from galen_model.load.model import ADAPTER, gravity_wrench
+from galen_model.load.choice import choose_calibration
+from galen_model.load.drifting_bias import BiasShape, Shape, Sweeps, finish
+from galen_model.load.identification import StillPoses, identify_two_sweeps
+from galen_model.load.model import ADAPTER, TOOLS, gravity_regressor, gravity_wrench
+from galen_model.poses.design import reading_noise
+from galen_model.poses.order import drift_price, drift_warning
 from galen_model.poses.plan import (
-    SweepGrid,
-    drift_share,
     make_router,
     order_poses,
     quintic_duration_s,
+    sweep_grid,
 )
 from galen_ros.parameters import ParameterError
 from test_calibration_procedure import World
@@ -27,6 +31,8 @@ from test_calibration_procedure import World
 GRID = CalibrationParameters()
 CHOSEN = dataclasses.replace(GRID, poses="chosen")
 TIP = np.array([0.15, 0.0, 0.05])
+RETRACTOR = TOOLS["retractor"].load
+LINE, WALK = (BiasShape(Shape.LINEAR),) * 6, (BiasShape(Shape.WALK, 3.0),) * 6
 SIDE = (0.5, 0.07, 0.2, 0.9, 0.5, 0.44)
 
 
@@ -35,31 +41,111 @@ def plan():
     return CHOSEN.plan(TIP)
 
 
-def drifted_mass(poses, times):
-    """Error of mass, kg, where the reading drifts by 0.1 N over the sweep, without noise."""
-    at = times.at_s(poses)
-    drift = (at / at[-1])[:, None] * np.array([0.1, 0.1, 0.1, 1e-3, 1e-3, 1e-3])
-    gravity = GALEN.gravity_in_sensor(poses)
-    moments, _ = plain_least_squares(gravity, gravity_wrench(gravity, ADAPTER) + drift)
-    return abs(moments[0] - ADAPTER.mass_kg)
+def grid_at(count):
+    """Gravity and times of a grid's poses in the order of a plan and as a serpentine."""
+    times, serpentine = GRID.times(), GRID.grid_poses(count - 1, count)
+    orders = order_poses(serpentine, times), serpentine
+    return [(GALEN.gravity_in_sensor(poses), times.at_s(poses)) for poses in orders]
 
 
-def test_the_order_is_short_and_a_drift_does_not_look_like_load(plan):
+def test_the_grid_is_visited_in_an_order_in_which_a_drift_costs_little():
+    times, serpentine = GRID.times(), GRID.grid_poses(7, 8)
+    poses = GRID.plan(TIP).poses
+    assert {tuple(pose) for pose in poses} == {tuple(pose) for pose in serpentine}
+    assert times.sweep_s(poses) < 1.1 * times.sweep_s(serpentine)
+    gravity, at = GALEN.gravity_in_sensor(poses), times.at_s(poses)
+    assert drift_price(gravity, at, LINE) < 1.02
+    (_, _), before = grid_at(8)
+    assert drift_price(*before, LINE) > 2.0
+    for walk in (WALK, (BiasShape(Shape.WALK, 13.0),) * 6):
+        assert drift_price(gravity, at, walk) < 0.5 * drift_price(*before, walk)
+
+
+def test_a_drift_s_price_is_that_of_the_fit(plan):
+    """As least squares with the walk's covariance written out, and as a fit's own growth."""
+    times = CHOSEN.times()
+    gravity, at = GALEN.gravity_in_sensor(plan.poses), times.at_s(plan.poses)
+    assert drift_price(gravity, at, (BiasShape(),) * 6) == pytest.approx(1.0)
+    since = at - at[0]
+    variance = np.eye(18) + 9.0 * np.minimum.outer(since, since) / since[-1]
+    rows, growth = np.swapaxes(gravity_regressor(gravity), 0, 1), []
+    for weight in (np.linalg.inv(variance), np.eye(18)):
+        whole = np.sum(weight)
+        free = weight - np.outer(weight.sum(axis=0), weight.sum(axis=0)) / whole
+        information = np.einsum("kip,ij,kjq->pq", rows, free, rows)
+        growth.append(np.sqrt(np.diag(np.linalg.inv(information))))
+    # the fit's prior for the first reading is flat, and so is a constant's
+    assert drift_price(gravity, at, WALK) == pytest.approx(np.max(growth[0] / growth[1]), rel=0.02)
+    readings = gravity_wrench(gravity, ADAPTER) + 1e-3 * np.random.default_rng(0).normal(
+        size=(18, 6)
+    )
+    sweeps = Sweeps(gravity_regressor(gravity), readings, at, np.zeros(18, dtype=int))
+    fitted = finish(sweeps, WALK, np.ones(18, dtype=bool))
+    assert drift_price(gravity, at, WALK) == pytest.approx(fitted.growth.max(), rel=0.2)
+
+
+def test_a_chosen_order_is_short_and_tells_a_drift_from_load(plan):
     times, shuffled = CHOSEN.times(), np.random.default_rng(1).permutation(plan.poses)
     ordered = order_poses(shuffled, times)
     assert {tuple(pose) for pose in ordered} == {tuple(pose) for pose in plan.poses}
-    assert times.sweep_s(ordered) < 0.8 * times.sweep_s(shuffled)
-    grid = GRID.grid_poses(7, 8)
-    assert times.sweep_s(ordered) < 0.75 * GRID.times().sweep_s(grid)
-    # R^2 against a regression by another way
-    at = times.at_s(ordered)
-    columns = np.column_stack([GALEN.gravity_in_sensor(ordered), np.ones(len(at))])
-    left = np.linalg.lstsq(columns, at, rcond=None)[1][0] / np.sum((at - at.mean()) ** 2)
-    assert drift_share(ordered, at) == pytest.approx(1.0 - left, abs=1e-4)
-    assert drift_share(ordered, at) < 0.03
-    assert drift_share(grid, GRID.times().at_s(grid)) > 0.9
-    by_roll = ordered[np.argsort(ordered[:, 0])]
-    assert drifted_mass(ordered, times) < 0.2 * drifted_mass(by_roll, times)
+    assert times.sweep_s(ordered) < 0.75 * times.sweep_s(shuffled)
+    assert times.sweep_s(ordered) < 0.75 * GRID.times().sweep_s(GRID.grid_poses(7, 8))
+    for poses in (ordered, plan.poses):
+        assert drift_price(GALEN.gravity_in_sensor(poses), times.at_s(poses), LINE) < 1.02
+
+
+def cost_of_drift(poses, identify, runs):
+    """Errors of two sweeps under 0.1 N/h, over those of the same noise without drift."""
+    times, rng = GRID.times(), np.random.default_rng(4)
+    at, gravity = times.at_s(poses), GALEN.gravity_in_sensor(poses)
+    time = np.concatenate([at, at + times.sweep_s(poses) + 10.0]).reshape(2, -1)
+    zero = GALEN.gravity_in_sensor(GRID.home_angles)
+    bare = gravity_wrench(gravity, ADAPTER) - gravity_wrench(zero, ADAPTER)
+    still = np.stack([bare, bare + gravity_wrench(gravity, RETRACTOR)])
+    squares = np.zeros((2, 8))
+    for _ in range(runs):
+        noise = rng.normal(size=still.shape) * reading_noise() / np.sqrt(250.0)
+        drift = time[..., None] / 3600.0 * np.repeat([0.1, 2e-3], 3) * rng.choice([-1, 1], 6)
+        for case, extra in enumerate((0.0, drift)):
+            readings = still + noise + extra
+            sweeps = [StillPoses(poses, readings[k], None, time[k]) for k in range(2)]
+            found = identify(*sweeps, GRID.home_angles)
+            both = ((found.load, RETRACTOR), (found.adapter, ADAPTER))
+            error = [(load.mass_kg - true.mass_kg, *load.com_m - true.com_m) for load, true in both]
+            squares[case] += np.ravel(error) ** 2
+    return np.sqrt(np.mean(squares[1] / squares[0]))
+
+
+def test_a_steady_drift_of_a_tenth_of_a_newton_an_hour_costs_less_than_a_fifth():
+    """With a constant bias, as where nothing notices it; a serpentine's loads are far off."""
+    assert cost_of_drift(GRID.plan(TIP).poses, identify_two_sweeps, 6) < 1.2
+    assert cost_of_drift(GRID.grid_poses(7, 8), identify_two_sweeps, 6) > 2.0
+
+
+@pytest.mark.slow
+def test_nor_where_the_model_is_chosen():
+    assert cost_of_drift(GRID.plan(TIP).poses, choose_calibration, 10) < 1.2
+
+
+def test_a_sweep_in_a_bad_order_is_told_by_how_much_a_better_one_lowers_the_cost():
+    good, bad = grid_at(5)
+    for shapes in (LINE, WALK):
+        assert drift_warning(*good, shapes) == ""
+        text = drift_warning(*bad, shapes)
+        factor = float(re.search(r"(\d+\.\d) times", text).group(1))
+        # the better order's moves are guessed from the bad one's
+        true = drift_price(*bad, shapes) / drift_price(*good, shapes)
+        assert 0.4 * true < factor < 1.3 * true
+    assert drift_warning(bad[0], bad[1], (BiasShape(),) * 6) == ""
+
+
+def test_poses_on_a_line_and_too_many_are_ordered_as_well():
+    times = GRID.times()
+    for tilts, rolls in ((1, 2), (1, 9), (20, 20)):
+        poses = GRID.grid_poses(tilts, rolls)
+        assert sorted(map(tuple, order_poses(poses, times))) == sorted(map(tuple, poses))
+    many = GRID.grid_poses(20, 21)
+    assert np.array_equal(order_poses(many, times), many)
 
 
 @pytest.mark.slow
@@ -138,7 +224,7 @@ LOWER, UPPER = (-1.57, -1.04), (1.57, 0.96)
 
 
 def grid(tstart=-1.0, tend=0.9, tilts=7, rstart=-1.5, rend=1.5, rolls=8):
-    return SweepGrid(tstart, tend, tilts, rstart, rend, rolls).poses(LOWER, UPPER)
+    return sweep_grid((tstart, tend, tilts), (rstart, rend, rolls), LOWER, UPPER)
 
 
 def test_the_report_s_grid_has_56_different_poses_ends_included():
@@ -157,15 +243,6 @@ def test_each_move_is_one_step_of_one_joint(tilts, rolls):
     assert np.all(np.sum(moves > 1e-12, axis=1) == 1)
     assert np.all(moves[:, 0] <= 3.0 / max(rolls - 1, 1) + 1e-12)
     assert np.all(moves[:, 1] <= 1.9 / max(tilts - 1, 1) + 1e-12)
-
-
-def test_the_serpentine_takes_the_order_with_less_travel():
-    for found in (grid(), grid(tilts=3, rolls=12), grid(tilts=12, rolls=3)):
-        rolls, tilts = np.unique(found[:, 0]), np.unique(found[:, 1])
-        travel = np.abs(np.diff(found, axis=0)).sum()
-        roll_inside = np.ptp(tilts) + len(tilts) * np.ptp(rolls)
-        tilt_inside = np.ptp(rolls) + len(rolls) * np.ptp(tilts)
-        assert travel == pytest.approx(min(roll_inside, tilt_inside))
 
 
 @pytest.mark.parametrize(

@@ -26,8 +26,10 @@ FAST = CalibrationParameters(
 class Course:
     """An arm that was zeroed at home without the tool, and a check of it."""
 
-    def __init__(self, settings=FAST, poses=5, tool=POINTER, start=START, file=POINTER_FILE):
-        self.arm = FakeArm(1)
+    def __init__(
+        self, settings=FAST, poses=5, tool=POINTER, start=START, file=POINTER_FILE, arm=None
+    ):
+        self.arm = arm or FakeArm(1)
         self.arm.tool = NO_TOOL
         self.arm.zero()
         self.arm.tool = tool

@@ -19,6 +19,7 @@ from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
+from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.errors import KinematicsError
@@ -47,10 +48,9 @@ class DeflectionParameters(StreamParameters):
         " model stays",
         read_only=False,
     )
-    sensor_frame: str = param("ft_sensor", "frame_id that `wrench_compensated` must have")
     joint_names: tuple[str, ...] = param(
-        GALEN.joint_names,
-        "names in `joint_states` of the arm's joints, in their order",
+        (),
+        "names in `joint_states` of the arm's joints, in its order; empty: as the arm has them",
     )
     memory_gap_s: float = param(
         0.1,
@@ -64,16 +64,6 @@ class DeflectionParameters(StreamParameters):
         "name of the compensation's node, whose tool and tare are followed on `/diagnostics`;"
         " empty: they are not",
     )
-
-    def validate(self) -> None:
-        """Check what no single range can say."""
-        super().validate()
-        count = len(GALEN.joints)
-        if len(self.joint_names) != count or len(set(self.joint_names)) != count:
-            raise ValueError(
-                f"parameter 'joint_names' is {list(self.joint_names)}, but must name {count}"
-                f" joints: {', '.join(GALEN.joint_names)}, or what they are called here"
-            )
 
 
 class ModelRejection(Enum):
@@ -111,6 +101,7 @@ class Deflector:
         parameters: DeflectionParameters | None = None,
         on_restart: Callable[[str], None] | None = None,
         on_forgotten: Callable[[str], None] | None = None,
+        arm: Arm = GALEN,
     ) -> None:
         """`on_forgotten(why)` is called after the memory of the active model was dropped."""
         parameters = parameters or DeflectionParameters()
@@ -119,7 +110,8 @@ class Deflector:
             parameters,
             self._forget_driver,
             wrench_topic="wrench_compensated",
-            sensor_frame=parameters.sensor_frame,
+            sensor_frame=arm.sensor_frame,
+            arm=arm,
         )
         self._memory_gap_ns = round(parameters.memory_gap_s * 1e9)
         self._on_forgotten = on_forgotten

@@ -11,8 +11,10 @@ from typing import Any
 import numpy as np
 from galen_bags.formats.files import find_bags
 from galen_bags.many import distinct_names
+from galen_model.arm.arm import Arm
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import CalibrationFile
+from galen_ros.arm import chosen_arm
 from galen_ros.command import (
     EXIT_FAILED,
     EXIT_OK,
@@ -61,19 +63,19 @@ def evaluate_files(arguments: argparse.Namespace) -> int:
 
     Of several recordings, one that can't be used is named, and the others are evaluated.
     """
-    bags = find_bags(arguments.inputs)
-    paths = _model_names(list(dict.fromkeys(arguments.model)))
-    models = {name: read_model(path) for name, path in paths.items()}
+    arm, bags = chosen_arm(arguments), find_bags(arguments.inputs)
+    paths = _model_names(list(dict.fromkeys(arguments.model)), arm)
+    models = {name: read_model(path, arm) for name, path in paths.items()}
     names = distinct_names(bags)
     rows: list[dict[str, Any]] = []
     to = terminal(TABLE_WIDTH)
     with progress(None, "msg", quiet=arguments.json) as bar:
         for bag in bags:
             try:
-                tool = tool_of(bag, arguments)
+                tool = tool_of(bag, arguments, arm)
                 for name, model in models.items():
                     _check_tip(paths[name], model, bag, tool)
-                recording = read_recording(bag, tool, arguments.marker_offset, _shown_by(bar))
+                recording = read_recording(bag, tool, arguments.marker_offset, _shown_by(bar), arm)
                 row, scores = _scored(recording, models, paths)
                 row["plots"] = _plots(
                     arguments.plots, recording.samples, _predicted(recording, models), names[bag]
@@ -150,9 +152,9 @@ def _check_tip(path: Path, model: DeflectionModel, bag: Path, tool: CalibrationF
         )
 
 
-def _model_names(paths: Sequence[Path]) -> Mapping[str, Path]:
+def _model_names(paths: Sequence[Path], arm: Arm) -> Mapping[str, Path]:
     """Models' files by their kinds, and by their paths where two are of one kind."""
-    kinds = [read_model(path).name for path in paths]
+    kinds = [read_model(path, arm).name for path in paths]
     apart = distinct_names(paths)
     return {
         kind if kinds.count(kind) == 1 else f"{kind} {apart[path]}": path
@@ -283,7 +285,10 @@ splits:
 
 {MODELS}"""
 
-_OF_BAGS = ("tool", "tool_beside", "marker_offset", "plots")
+_OF_BAGS = (
+    *("tool", "tool_beside", "marker_offset", "plots"),
+    *("urdf", "base_frame", "sensor_frame", "gravity"),
+)
 _OF_KINDS = ("kinds", "split")
 _OF_TABLES = (
     *("columns", "time_scale", "opposite", "torque_gear"),

@@ -6,6 +6,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from galen_model.errors import GalenError
+from galen_ros.arm import names_of_joints
 from galen_ros.cdr import RawWrench, deflection_bytes, pose_bytes
 from galen_ros.messages import STREAM
 from galen_ros.node.spin import run
@@ -21,7 +22,6 @@ from galen_deflection.models.file import DeflectionModel, read_model
 from galen_deflection.monitor import DeflectorMonitor
 from galen_msgs.msg import DeflectionStamped
 
-BASE_FRAME = "base_link"
 AS_NEVER_LOADED = (
     "the loads so far are forgotten: from here on it is as if the arm had never been loaded,"
     " and the covariance holds what may have been left of earlier loads"
@@ -44,14 +44,16 @@ class DeflectionNode(StreamNode):
 
     def _configure(self) -> None:
         p = self._config = self._held.now
-        self._deflector = Deflector(p, self._on_restart, self._on_forgotten)
+        self._arm = self._take_arm()
+        self._joint_names = names_of_joints(p.joint_names, self._arm)
+        self._deflector = Deflector(p, self._on_restart, self._on_forgotten, self._arm)
         self._prediction = DeflectorMonitor(self._deflector)
         self._model_file = ""
         self._gravcomp: GravcompState | None = None
         self._gravcomp_name = self._resolved(p.gravcomp_node)
 
-        self._deflection_bytes = deflection_bytes(BASE_FRAME)
-        self._pose_bytes = pose_bytes(BASE_FRAME)
+        self._deflection_bytes = deflection_bytes(self._arm.base_frame)
+        self._pose_bytes = pose_bytes(self._arm.base_frame)
         self._deflections = self.create_publisher(DeflectionStamped, "deflection", STREAM)
         self._tip_poses = self.create_publisher(PoseStamped, "tip_pose_corrected", STREAM)
         self._load_at_start(p.model_file)
@@ -59,7 +61,7 @@ class DeflectionNode(StreamNode):
             self._deflector.pairing,
             self._deflector.push_wrench,
             self._prediction,
-            p.joint_names,
+            self._joint_names,
             p.best_effort_input,
         )
         self.create_service(Trigger, "~/reset", self._on_reset)
@@ -96,7 +98,7 @@ class DeflectionNode(StreamNode):
             if not self.configured:  # it is read then
                 continue
             try:
-                self._read = (parameter.value, _model_of(parameter.value))
+                self._read = (parameter.value, self._model_of(parameter.value))
             except GalenError as error:
                 why = f"model_file is rejected, the old one stays: {error}"
                 self._prediction.on_notice(why, time.monotonic())
@@ -118,13 +120,17 @@ class DeflectionNode(StreamNode):
 
     def _load_at_start(self, file: str) -> None:
         try:
-            self._use(file, _model_of(file))
+            self._use(file, self._model_of(file))
         except GalenError as error:
             if not self.starts_itself:
                 raise  # the transition fails with the reason
             # The node lives on, so that the state is on /diagnostics and the file can be fixed.
             self._deflector.set_model(None, str(error))
             self._prediction.set_model_error(str(error))
+
+    def _model_of(self, file: str) -> DeflectionModel | None:
+        """Read a file's model, None for no file; raises DeflectionError that names it."""
+        return read_model(Path(file).expanduser(), self._arm) if file else None
 
     def _use(self, file: str, model: DeflectionModel | None) -> None:
         self._model_file = file
@@ -185,13 +191,8 @@ class DeflectionNode(StreamNode):
         state = self._gravcomp
         values["gravcomp_node"] = self._gravcomp_name
         values["gravcomp_tool"] = "not known" if state is None else state.tool
-        values["joint_names"] = " ".join(self._config.joint_names)
+        values["joint_names"] = " ".join(self._joint_names)
         return values
-
-
-def _model_of(file: str) -> DeflectionModel | None:
-    """Read a file's model, None for no file; raises DeflectionError that names it."""
-    return read_model(Path(file).expanduser()) if file else None
 
 
 def main() -> None:

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 from galen_bags.formats.writer import BagWriter
+from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN, SENSOR
-from galen_model.files.calibration_file import read_calibration
+from galen_model.files.calibration_file import CalibrationFile, read_calibration
 from galen_model.load.prediction import Prediction
 from galen_model.registration import IDENTITY, Transform, move_wrench
 from galen_model.rotation import matrix_to_quaternion, rotvec_to_matrix
@@ -74,6 +75,8 @@ class Scene:
     tool_marker: Transform = IDENTITY
     joint_zeros: np.ndarray = field(default_factory=lambda: np.zeros(5))
     seed: int = 0
+    arm: Arm = GALEN
+    tool: CalibrationFile = TOOL
 
     @property
     def stay_s(self) -> float:
@@ -112,12 +115,13 @@ class Scene:
         times = self._times(self.joint_rate_hz, 0.0)
         made[JOINTS] = _topic(times, self.joints_at(times))
         times = self._times(self.wrench_rate_hz, 0.0013)
-        angles = GALEN.angles(self.joints_at(times))
-        reading = self.wrench_at(times) + Prediction(TOOL).readings(angles)
+        angles = self.arm.angles(self.joints_at(times))
+        reading = self.wrench_at(times) + Prediction(self.tool, self.arm).readings(angles)
         noise = rng.standard_normal((len(times), 6)) * SENSOR.noise_std
         made[WRENCH] = _topic(times, reading + noise)
         times = self._times(self.tracker_rate_hz, 0.0021)
-        tip = Transform(*GALEN.tip_pose(self.joints_at(times) + self.joint_zeros, TOOL.tip_m))
+        joints = self.joints_at(times) + self.joint_zeros
+        tip = Transform(*self.arm.tip_pose(joints, self.tool.tip_m))
         tip = tip.displaced(self.deflection_at(times))
         many = np.zeros((len(times), 1))
         offset = _repeated(self.tool_marker, many)
@@ -132,7 +136,7 @@ class Scene:
         wrench, which = self.wrench_at(time_s), self.position_at(time_s)
         for number, joints in enumerate(self.positions + self.joint_zeros):
             here = which == number
-            found[here] = nominal(joints, wrench[here])
+            found[here] = nominal(joints, wrench[here], self.tool.tip_m, self.arm)
         return found
 
     def _times(self, rate_hz: float, first_s: float) -> np.ndarray:
@@ -144,19 +148,20 @@ class Scene:
         return _topic(times, np.hstack([seen.translation, matrix_to_quaternion(seen.rotation)]))
 
 
-def nominal(joints: np.ndarray, wrench: np.ndarray, tip_m=TOOL.tip_m) -> np.ndarray:
+def nominal(joints: np.ndarray, wrench: np.ndarray, tip_m=TOOL.tip_m, arm=GALEN) -> np.ndarray:
     """Nominal deflections (n, 6) of one position's wrenches (n, 6) in ft_sensor."""
-    rotation, origin = GALEN.sensor_pose(joints)
-    _, tip = GALEN.tip_pose(joints, tip_m)
-    return move_wrench(wrench, rotation, origin - tip) @ GALEN.tip_compliance(joints, tip_m).T
+    rotation, origin = arm.sensor_pose(joints)
+    _, tip = arm.tip_pose(joints, tip_m)
+    return move_wrench(wrench, rotation, origin - tip) @ arm.tip_compliance(joints, tip_m).T
 
 
-def write(path: Path, topics: dict[str, Topic], frame: str = "tracker") -> Path:
+def write(path: Path, topics: dict[str, Topic], frame: str = "tracker", arm: Arm = GALEN) -> Path:
     """Write a bag."""
+    names = arm.joint_names
     fill = {
         JOINTS: (
             "sensor_msgs/msg/JointState",
-            lambda stamp, row: joint_state_bytes(GALEN.joint_names).fill(stamp, row, [0.0] * 5),
+            lambda stamp, row: joint_state_bytes(names).fill(stamp, row, [0.0] * len(row)),
         ),
         WRENCH: ("geometry_msgs/msg/WrenchStamped", wrench_bytes("ft_sensor").fill),
     }

@@ -96,7 +96,6 @@ def test_error_codes_and_states_are_the_action_s():
         ["monday"],
         ["../x", "--tool", "retractor"],
         ["monday", "--tool", "a b"],
-        ["monday", "--tool", "retractor", "--positions", "1", "2"],
         ["monday", "--tool", "retractor", "--forces-n", "nan"],
         ["monday", "--tool", "retractor", "--sets", "0"],
         ["monday", "--tool", "retractor", "--timeout-s", "0"],

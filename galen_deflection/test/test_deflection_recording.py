@@ -345,7 +345,7 @@ def test_wrenches_that_cannot_be_compensated_are_named(tmp_path):
     recording = tampered(tmp_path, spoil)
     assert said(recording, "1 wrench not compensated: a value is not finite")
     assert said(recording, "not compensated: no joint angles within 0.05 s")
-    other = replace(TOOL, sensor_frame="other")
+    other = replace(TOOL, arm=replace(TOOL.arm, sensor_frame="other"))
     with pytest.raises(DeflectionError, match=r"no wrench could be.*frame_id is not 'other'"):
         read_pushes(tmp_path / "bag", other)
 

@@ -71,7 +71,9 @@ class Compensator:
         limits = Limits(p.fit_limit_force_n, p.fit_limit_torque_nm)
         self.monitor = CalibrationMonitor(limits, arm) if p.calibration_monitor else None
         """Checks whether the calibration file fits."""
-        self.pairing = WrenchPairing(p, self._forget_driver, awaited=self.motion)
+        self.pairing = WrenchPairing(
+            p, self._forget_driver, sensor_frame=arm.sensor_frame, awaited=self.motion, arm=arm
+        )
         self.enabled = True
         self.tool: CalibrationFile | None = None
         """The active tool; `set_tool` changes it."""
@@ -147,8 +149,6 @@ class Compensator:
         self.tool = tool
         self._prediction = None if tool is None else Prediction(tool, self.arm)
         self._no_tool_detail = why_none
-        own_frame = "" if tool is None else tool.sensor_frame
-        self.pairing.sensor_frame = self._parameters.sensor_frame or own_frame
         results = self._set_cable(tool)
         if self.motion is not None:
             self.motion.set_tool(tool)
@@ -199,7 +199,7 @@ class Compensator:
         joints: the arm's (n,), m and rad, or its angles (k,) alone, which do where
         `needs_positions` is false.
         """
-        if len(joints) == len(self.arm.turning) and self.needs_positions:
+        if len(joints) < len(self.arm.joints) and self.needs_positions:
             unknown = np.full(len(self.arm.joints), np.nan)
             joints = tuple(self.arm.with_angles(joints, unknown).tolist())
         if self.motion is not None:

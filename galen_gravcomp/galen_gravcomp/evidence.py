@@ -48,7 +48,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN, GRAVITY_M_S2
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.evidence import columns
 from galen_model.evidence.linear import (
@@ -156,7 +156,8 @@ class FitEvidence:
     def __init__(self, tool: CalibrationFile, arm: Arm = GALEN) -> None:
         self._arm = arm
         self._tool = tool
-        self._scale = float(tool.gravity_m_s2[2] / GRAVITY_M_S2[2])
+        self._gravity_m_s2 = float(np.linalg.norm(arm.gravity_m_s2))
+        self._scale = float(np.linalg.norm(tool.gravity_m_s2)) / self._gravity_m_s2
         self._sag_mass_kg = float(tool.load.mass_kg)
         known = columns.moment_covariance(tool.load) + columns.moment_covariance(tool.adapter)
         sag = 1.0 / _WRONG_SHIFT_M**2
@@ -247,7 +248,7 @@ class FitEvidence:
 
     def _by_pose(self, segments: Segments) -> Array:
         """Kernels (lengths, n, n)."""
-        unit = self._arm.gravity_in_sensor(segments.angles) / -GRAVITY_M_S2[2]
+        unit = self._arm.gravity_in_sensor(segments.angles) / self._gravity_m_s2
         square = np.sum((unit[:, None] - unit) ** 2, axis=2)
         return np.array([np.exp(-square / (2.0 * length**2)) for length in _LENGTHS])
 

@@ -8,6 +8,7 @@ import numpy as np
 from galen_model.arrays import Array
 from galen_model.errors import CalibrationFileError, ToolNameError
 from galen_model.files.calibration_file import CalibrationFile
+from galen_ros.arm import names_of_joints
 from galen_ros.cdr import ImuWire, JointStateError, JointWire, RawWrench, UnreadableError
 from galen_ros.messages import STREAM
 from galen_ros.node.spin import run
@@ -41,7 +42,9 @@ class GravcompNode(StreamNode):
 
     def _configure(self) -> None:
         p = self._config = self._held.now
-        self._compensator = Compensator(p, self._on_restart)
+        arm = self._take_arm()
+        self._joint_names = names_of_joints(p.joint_names, arm)
+        self._compensator = Compensator(p, self._on_restart, arm=arm)
         self._compensation = Monitor(self._compensator)
         self._tare_progress = (0, 0.0)
 
@@ -60,7 +63,7 @@ class GravcompNode(StreamNode):
             self._compensator.pairing,
             self._compensator.push_wrench,
             self._compensation,
-            p.joint_names,
+            self._joint_names,
             p.best_effort_input,
         )
         self._choose_joints()
@@ -95,10 +98,9 @@ class GravcompNode(StreamNode):
 
     def _choose_joints(self) -> None:
         """Read all joints from joint_states only while they are needed, else the angles."""
-        p = self._config
         arm, needs_all = self._compensator.arm, self._compensator.needs_positions
         places = range(len(arm.joints)) if needs_all else arm.turning
-        self._read_joints([p.joint_names[k] for k in places])
+        self._read_joints([self._joint_names[k] for k in places])
 
     def _publish(self, result: PairedWrench, raw: RawWrench) -> None:
         # The input's own bytes with other numbers: stamp and frame_id can't but be kept.
@@ -109,14 +111,14 @@ class GravcompNode(StreamNode):
     def _live_joints(self) -> Array:
         """Joints (n,), m and rad; NaN where they are not known, or were long ago."""
         p, newest = self._config, self._newest_joint_state
-        joints = np.full(len(p.joint_names), np.nan)
+        joints = np.full(len(self._joint_names), np.nan)
         if newest is None or time.monotonic() - newest[0] > p.silence_s:
             return joints
         turning = self._compensator.arm.turning
         # A driver may send the revolute ones alone.
         for places in (range(len(joints)), turning):
             with contextlib.suppress(JointStateError, UnreadableError):
-                wire = JointWire([p.joint_names[k] for k in places])
+                wire = JointWire([self._joint_names[k] for k in places])
                 joints[list(places)] = wire.read(newest[1])[1]
                 break
         return joints
@@ -242,7 +244,7 @@ class GravcompNode(StreamNode):
     def _values(self, now_s: float) -> dict[str, object]:
         values = self._compensation.values(now_s)
         values["tools_dir"] = self._config.tools_dir
-        values["joint_names"] = " ".join(self._config.joint_names)
+        values["joint_names"] = " ".join(self._joint_names)
         return values
 
 

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 
-from galen_model.arm.galen import GALEN
 from galen_model.evidence.verdict import Limits
 from galen_ros.parameters import param
 from galen_ros.stream.pairing import StreamParameters
@@ -21,13 +20,10 @@ class GravcompParameters(StreamParameters):
     tools_dir: str = param("~/.ros/galen/tools", "directory of the tools' files; `~` is expanded")
     tool: str = param("", "tool to load at start; empty: none until `~/set_tool` is called")
     enabled: bool = param(True, "whether to compensate from the start")
-    sensor_frame: str = param(
-        "", "frame_id that `wrench_raw` must have; empty: the one in the tool's file"
-    )
     joint_names: tuple[str, ...] = param(
-        GALEN.joint_names,
-        "names in `joint_states` of the arm's joints, in its order; prismatic ones are read only"
-        " where they are needed",
+        (),
+        "names in `joint_states` of the arm's joints, in its order; empty: as the arm has them."
+        " Prismatic ones are read only where they are needed",
     )
     motion: str = param(
         "off",
@@ -90,11 +86,6 @@ class GravcompParameters(StreamParameters):
     def validate(self) -> None:
         """Check what no single range can say."""
         super().validate()
-        count = len(GALEN.joints)
-        if len(self.joint_names) != count or len(set(self.joint_names)) != count:
-            raise ValueError(
-                f"parameter 'joint_names' is {list(self.joint_names)}, but must name {count} joints"
-            )
         if self.motion not in _MOTIONS:
             raise ValueError(
                 f"parameter 'motion' is '{self.motion}', but must be one of {', '.join(_MOTIONS)}"

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 import rclpy
-from galen_model.arm.galen import GALEN, SENSOR, SENSOR_FRAME
+from galen_model.arm.galen import SENSOR
 from galen_model.arrays import Array
 from galen_model.errors import CalibrationFileError, GalenError, ToolNameError
 from galen_model.files.calibration_store import (
@@ -254,7 +254,7 @@ class ToolServices:
         became of the active file since; empty while as loaded.
         """
         self._node = node
-        self._store = CalibrationStore(tools_dir)
+        self._store = CalibrationStore(tools_dir, compensator.arm)
         self._live_joints = live_joints
         self._changing: list[set[str]] = []
         self._background = BackgroundJobs(node)
@@ -334,15 +334,14 @@ class ToolServices:
         live, active_tool = self._live_joints(), self.active_tool.stored
 
         def job() -> StoredCalibration:
-            stored = self._named(request.tool, active_tool)
-            own = ("", stored.tool.sensor_frame)
-            frame = SENSOR_FRAME if request.frame in own else request.frame
-            given = joint_vector(list(request.joints))
+            stored, arm = self._named(request.tool, active_tool), self._store.arm
+            frame = request.frame or arm.sensor_frame
+            given = joint_vector(list(request.joints), arm)
             joints = given if len(request.joints) else live
-            used = [name in needed_joints(frame) for name in GALEN.joint_names]
-            place = sensor_in_frame(frame, stored.tool.tip_m, joints)
+            used = [name in needed_joints(frame, arm) for name in arm.joint_names]
+            place = sensor_in_frame(frame, stored.tool.tip_m, joints, arm)
             load = place.load(stored.tool.load)
-            response.frame = request.frame or stored.tool.sensor_frame
+            response.frame = frame
             response.joints = np.where(used, joints, math.nan)
             response.mass_kg = float(load.mass_kg)
             response.com_m = load.com_m

@@ -19,6 +19,8 @@ from galen_model.files.comparison import (
     compare_calibrations,
     three_digits,
 )
+from galen_model.files.export import FORMATS, export_load
+from galen_ros.arm import add_arm, chosen_arm
 from galen_ros.command import (
     EXIT_OK,
     add_json,
@@ -56,6 +58,7 @@ def build_parser() -> argparse.ArgumentParser:
         metavar="DIR",
         help="directory of the calibration files (default: %(default)s)",
     )
+    add_arm(files)
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
     def add(name: str, text: str, *names: str, parent: argparse.ArgumentParser = files) -> Any:
@@ -77,6 +80,13 @@ def build_parser() -> argparse.ArgumentParser:
     remove = add("remove", "remove a tool from the list; its file is kept beside", "tool")
     remove.add_argument("--yes", action="store_true", help="don't ask")
     add("restore", "bring back the tool removed last under a name", "tool")
+    export = add("export", "the load of tool and adapter as a robot's driver takes it", "tool")
+    export.add_argument("--format", required=True, choices=FORMATS, help="whose driver")
+    export.add_argument(
+        "--frame",
+        metavar="FRAME",
+        help="rigid to the sensor, as tool0 is (default: its own)",
+    )
     active = add("active", "what a running gravcomp_node has active", parent=common)
     active.add_argument("--node", default="gravcomp", help="the node's name (default: %(default)s)")
     active.add_argument(
@@ -106,7 +116,8 @@ def _list(arguments: argparse.Namespace, store: CalibrationStore) -> None:
             " calibration makes it"
         )
     table = Table(title=escape(str(store.directory)), title_justify="left")
-    for name in ("tool", "mass, g", "centre in ft_sensor, mm", "calibrated", "poses", "parts"):
+    centre = f"centre in {escape(store.arm.sensor_frame)}, mm"
+    for name in ("tool", "mass, g", centre, "calibrated", "poses", "parts"):
         table.add_column(name)
     rows: list[dict[str, Any]] = []
     broken = []
@@ -138,7 +149,8 @@ def _show(arguments: argparse.Namespace, store: CalibrationStore) -> None:
     stored = store.read(arguments.tool)
     tool = stored.tool
     content = tool.to_json() | {"path": str(stored.path), "sha256": stored.sha256}
-    table = Table("", "mass, g", "centre in ft_sensor, mm", "standard deviation, mm")
+    frame = escape(tool.sensor_frame)
+    table = Table("", "mass, g", f"centre in {frame}, mm", "standard deviation, mm")
     for name, load in (("tool", tool.load), ("adapter", tool.adapter)):
         table.add_row(name, _mass(load), _millimetres(load.com_m), _millimetres(load.com_std_m))
     table.add_row("tip", "", _millimetres(tool.tip_m), "")
@@ -150,7 +162,8 @@ def _show(arguments: argparse.Namespace, store: CalibrationStore) -> None:
         table,
         f"calibrated {tool.calibrated_at}, {age_text(tool.calibrated_at)}, in {tool.poses_used}"
         f" poses{rejected}",
-        _wrenches("in ft_sensor", {"offset left": tool.residual_offset, "RMSE": tool.rmse}),
+        *([f"model: {escape(f'{tool.model} - {tool.model_reason}')}"] if tool.model else []),
+        _wrenches(f"in {frame}", {"offset left": tool.residual_offset, "RMSE": tool.rmse}),
         *(_fields(part, getattr(tool, part).to_json()) for part in tool.parts),
         *(
             f"[yellow]not identified by the calibration: {escape(text)}[/yellow]"
@@ -248,6 +261,15 @@ def _restore(arguments: argparse.Namespace, store: CalibrationStore) -> None:
     _give(arguments, {"path": str(path)}, escape(f"'{arguments.tool}' is back: {path}"))
 
 
+def _export(arguments: argparse.Namespace, store: CalibrationStore) -> None:
+    tool = store.read(arguments.tool).tool
+    content = export_load(tool, arguments.format, arguments.frame or "")
+    if arguments.json:
+        print_json(content)
+    else:
+        print(content["text"], end="")  # to be copied as it is: no console wraps or colours it
+
+
 def _active(arguments: argparse.Namespace, ros_args: Sequence[str]) -> None:
     from galen_gravcomp.tool_services import read_active  # needs ROS, the other commands don't
 
@@ -273,6 +295,7 @@ _COMMANDS = {
     "revert": _revert,
     "remove": _remove,
     "restore": _restore,
+    "export": _export,
 }
 
 
@@ -327,7 +350,8 @@ def main(args: Sequence[str] | None = None) -> int:
         if arguments.command == "active":
             _active(arguments, words[at:])
         else:
-            _COMMANDS[arguments.command](arguments, CalibrationStore(arguments.tools_dir))
+            store = CalibrationStore(arguments.tools_dir, chosen_arm(arguments))
+            _COMMANDS[arguments.command](arguments, store)
         return EXIT_OK
 
     return run_command("tools", work)

@@ -48,7 +48,7 @@ def written(tmp_path: Path, monkeypatch, *, joints_late: bool = False, old_resul
     monkeypatch.setattr(BagWriter, "write", record)
     write_calibration(tmp_path / "retractor.json", tool_file())
     path = tmp_path / "bag"
-    job = BagJob(tool=tmp_path / "retractor.json", bags_out=tmp_path / "out", names={path: "bag"})
+    job = BagJob(tool=tmp_path / "retractor.json", bags_out=tmp_path / "out")
     return job.evaluate(path), out
 
 

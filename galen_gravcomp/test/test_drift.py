@@ -113,7 +113,7 @@ def test_the_command_on_a_table(tmp_path, capsys):
     assert main([str(table), "--drift"]) == 1
     assert "no column 't'" in capsys.readouterr().err
     assert main([str(tmp_path / "nothing"), "--drift"]) == 1
-    for wrong in (("--cell-s", "1e-10"), ("--joint-names", "a,b")):
+    for wrong in (("--cell-s", "1e-10"), ("--gravity", "0", "0", "0")):
         with pytest.raises(SystemExit) as ended:
             main([str(table), "--drift", *wrong])
         assert ended.value.code == 2

@@ -6,6 +6,7 @@ import re
 
 import pytest
 from galen_gravcomp.evaluate.bag import BagJob
+from galen_gravcomp.evaluate.bag_report import COLUMNS
 from galen_gravcomp.evaluate.command import main
 from galen_model.files.calibration_file import write_calibration
 from gravcomp_bags import Recording, tool_file
@@ -73,6 +74,43 @@ def test_a_folder_gives_one_table_and_a_broken_bag_does_not_stop_the_rest(archiv
     (line,) = [line for line in out.splitlines() if line.startswith(friday)]
     assert re.search(r"as of another load, by \+(29\.9|30\.[01]) ", line)
     assert "broken" in out
+
+
+def test_brackets_in_names_are_shown_as_they_are(archive, tmp_path, capsys):
+    for name in ("br[", "[red]"):
+        (tmp_path / "a[b]" / name).mkdir(parents=True)
+        (tmp_path / "a[b]" / name / "x].mcap").write_bytes(b"no bag")
+    odd = tmp_path / "a[b]" / "br[" / "[bold]"
+    odd.symlink_to(archive / "friday" / "sweep")
+    tool = str(archive / "friday" / "retractor.json")
+    assert main([str(tmp_path), "--tool", tool, "--workers", "1"]) == 1
+    out = capsys.readouterr().out
+    assert "br[/x].mcap" in out and "[red]/x].mcap" in out and "br[/[bold]: " in out
+    assert main([str(odd), "--tool", tool]) == 0
+    assert "br[/[bold]: " in capsys.readouterr().out
+
+
+def test_an_archive_s_results_are_kept_and_tabled(archive, tmp_path, capsys):
+    arguments = [str(archive), "--tool-beside", "retractor.json", "--workers", "1"]
+    arguments += ["--results", str(tmp_path / "kept")]
+    assert main([*arguments, "--json"]) == 1
+    summary = json.loads(capsys.readouterr().out)
+    assert [summary[name] for name in ("done", "skipped", "failed")] == [3, 0, 1]
+    assert summary["verdicts"] == {"fits": 2, "load": 1}
+    table = pytest.importorskip("pyarrow.parquet").read_table(tmp_path / "kept" / "table.parquet")
+    assert table.column_names == ["recording", "error", *COLUMNS]
+    rows = {row["recording"].split("/")[-2]: row for row in table.to_pylist()}
+    assert "wednesday" in rows["wednesday"]["error"]
+    assert rows["friday"]["load_error_kg"] == pytest.approx(0.03, abs=1e-3)
+    assert 0.0 < rows["monday"]["rmse_still_phases_tz_Nm"] < 1e-3 and not rows["monday"]["error"]
+    assert all(rows["monday"][name] is not None for name in COLUMNS if "drift" not in name)
+    assert main(arguments) == 1
+    out, err = capsys.readouterr()
+    assert "0 done, 3 skipped, 1 failed" in out and "fits: 2" in out
+    assert "wednesday" in err
+    # Other limits are another question.
+    assert main([*arguments, "--limit-force-n", "9", "--limit-torque-nm", "9", "--json"]) == 1
+    assert json.loads(capsys.readouterr().out)["verdicts"] == {"fits": 3}
 
 
 def test_a_job_can_be_sent_to_another_process(archive):

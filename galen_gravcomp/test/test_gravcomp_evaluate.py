@@ -57,6 +57,23 @@ def table_of(gravity, wrench):
     return OrientationTable("t", gravity, wrench, None, None, "gravity")
 
 
+def test_a_column_of_temperatures_explains_the_drift_that_goes_with_it(tmp_path, readings):
+    roll, tilt, _, _, wrench = readings
+    kelvin = 300.0 + np.random.default_rng(2).standard_normal(30)
+    drifted = wrench + 10.0 * NOISE * (kelvin - 300.0)[:, None]
+    rows = np.column_stack([drifted, roll, tilt, kelvin])
+    path = write(tmp_path / "warm.csv", [*WRENCH, "roll", "tilt", "temperature_k"], rows)
+    table = read_table(path)
+    np.testing.assert_allclose(table.temperature_c, kelvin - 273.15)
+    result = evaluate_table(table)
+    assert "temperature" in result.chosen.words
+    assert result.fit.load.mass_kg == pytest.approx(LOAD.mass_kg, abs=0.01)
+    both = write(tmp_path / "both.csv", [*WRENCH, "roll", "tilt", "temp", "temperature"],
+                 np.column_stack([rows, kelvin]))  # fmt: skip
+    with pytest.raises(GalenError, match="2 columns of temperatures"):
+        read_table(both)
+
+
 def test_every_form_of_orientation_reads_the_same(tmp_path, readings):
     roll, tilt, rotation, gravity, wrench = readings
     forms = {
@@ -222,7 +239,21 @@ def test_axia80_over_time_gives_the_known_weight():
     assert weight == pytest.approx(11.41, abs=3 * result.fit.load.mass_std_kg * 9.80665)
 
 
-@pytest.mark.parametrize("kind", ["joints", "gravity"])
+def test_readings_of_no_common_load_are_said_and_no_file_is_written(tmp_path, readings, capsys):
+    roll, tilt, _, _, wrench = readings
+    wrench = wrench.copy()
+    wrench[::2] *= 3.0
+    table = write(
+        tmp_path / "t.csv", ["roll", "tilt", *WRENCH], np.column_stack([roll, tilt, wrench]), ","
+    )
+    assert main([str(table)]) == 0
+    assert "no model fits" in capsys.readouterr().out
+    assert main([str(table), "--write-tool", str(tmp_path / "tool.json")]) == 1
+    assert "fit no common load" in capsys.readouterr().err
+    assert not (tmp_path / "tool.json").exists()
+
+
+@pytest.mark.parametrize("kind", ["joints", pytest.param("gravity", marks=pytest.mark.slow)])
 def test_a_tool_file_from_a_table_reads_what_the_fit_reads(tmp_path, readings, kind):
     roll, tilt, _, gravity, wrench = readings
     local = 9.8209 / 9.80665  # gravity at 60 degrees north

@@ -152,7 +152,7 @@ def test_gaps_bad_values_and_lacking_positions_are_rejected_with_their_own_reaso
     few = run(lambda number: [q] if number % 5 == 0 else [])
     assert "samples of joint_states; 8 are needed (a longer motion_window_s" in few[-1]
     none = run(lambda number: [(np.nan,) * 3 + q[3:]])
-    assert none[-1].endswith("joint_states lacks the platform's position")
+    assert none[-1].endswith("joint_states lacks delta_x, delta_y, delta_z")
     for wild in (0.01, 1e200, np.inf):  # 1 cm, or anything, in one sample
         wrong = run(lambda number, wild=wild: [(wild, *q[1:])] if number == 50 else [q])
         assert len(wrong) in (FIRST + 31, FIRST + 32) and "or jumps" in wrong[-1], wild

@@ -1,6 +1,7 @@
 """The node over real rclpy: what goes out, what does not, and what /diagnostics says."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -358,6 +359,8 @@ def test_best_effort_driver(harness: Harness, tools_dir: Path) -> None:
 
 def test_namespace_and_remap(harness: Harness, tools_dir: Path) -> None:
     """A left arm, with the sensor's topic and the output under the names of another suite."""
+    left = replace(GALEN, sensor_frame="left_ft_sensor")
+    write_calibration(calibration_path(tools_dir, "pointer"), replace(POINTER, arm=left))
     bench = Bench(
         harness,
         tools_dir,

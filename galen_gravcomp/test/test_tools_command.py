@@ -5,9 +5,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from calibration_files import pointer
 from galen_gravcomp.tools import main
+from galen_model.arm.description import read_arm
 from galen_model.files.calibration_file import (
     CalibrationFile,
     calibration_path,
@@ -183,3 +185,34 @@ def test_active_shows_the_topic_and_what_is_wrong(
     assert all(word in out for word in words)
     assert main(["active", "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == state
+
+
+SIX_AXIS = Path(__file__).parents[2] / "galen_bringup/urdf/six_axis.urdf"
+
+
+def test_export_prints_what_a_driver_takes(tools: Command) -> None:
+    out = tools("export", "pointer", "--format", "ur")
+    assert "set_payload(0.16, [0.020625, 0.00075, 0.029375])\n" in out
+    found = tools.json("export", "pointer", "--format", "urdf")
+    assert found["frame"] == "ft_sensor" and found["mass_kg"] == pytest.approx(0.16)
+    assert tools("export", "pointer", "--format", "urdf") == found["text"]
+    for words, said in (
+        (("--frame", "tool0"), "no frame 'tool0'; there are ft_sensor"),
+        (("--frame", "roll_link"), "'roll_link' depends on tilt"),
+    ):
+        tools("export", "pointer", "--format", "kuka", *words, code=1)
+        assert said in tools.err
+
+
+def test_a_tool_of_another_arm_is_read_and_exported_with_that_arm(tools: Command) -> None:
+    arm = read_arm(SIX_AXIS.read_text())
+    write_calibration(
+        calibration_path(tools.folder, "grip"), pointer("grip", arm=arm, zeroing=None)
+    )
+    with_arm = ("--urdf", str(SIX_AXIS))
+    assert "made on the arm" in tools("list") and "can't be used" in tools("list", *with_arm)
+    assert "60.00" in tools("show", "grip", *with_arm)
+    found = tools.json("export", "grip", "--format", "franka", "--frame", "tool0", *with_arm)
+    np.testing.assert_allclose(found["com_m"], [0.020625, 0.00075, 0.049375], atol=1e-12)
+    tools("export", "grip", "--format", "franka", code=1)
+    assert "this arm is 'galen'" in tools.err

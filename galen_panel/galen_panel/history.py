@@ -152,6 +152,10 @@ class History:
         self.joints = StreamSeries(len(arm.joints))
         """In the arm's order; m, rad."""
 
+    def follow(self, arm: Arm) -> None:
+        """Begin the joints anew, as another arm has them."""
+        self.joints = StreamSeries(len(arm.joints))
+
 
 _UNITS = ("n",) * 3 + ("nm",) * 3
 _DEFLECTION = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")

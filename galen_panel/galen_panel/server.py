@@ -6,17 +6,22 @@ import errno
 import os
 import socket
 import ssl
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from contextlib import closing
 from typing import TYPE_CHECKING
 
+from galen_model.arm.arm import Arm
+from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
 from galen_ros.command import check_folder
+from starlette.requests import Request
+from starlette.responses import PlainTextResponse, Response
 
 from galen_panel.access import MAX_HEADER_BYTES, Access, LimitedProtocol, Turns
 from galen_panel.options import Options
 from galen_panel.panel import end_by_signals, end_server, ignore_signals
 from galen_panel.recordings.recordings import Recordings
+from galen_panel.shapes import MESHES_PATH
 
 if TYPE_CHECKING:
     from galen_panel.ros.suite import RosSuite
@@ -25,6 +30,8 @@ RECONNECT_S = 15.0
 # A page whose panel says nothing for the sum of both shows that its connection is lost.
 _PING_S = 2.0
 _PONG_WITHIN_S = 4.0
+# A mesh's name is made of its content.
+_KEPT = {"Cache-Control": "private, max-age=31536000, immutable"}
 
 
 def serve(suite: RosSuite, options: Options, on_stop: Callable[[], None]) -> None:
@@ -45,7 +52,10 @@ def serve(suite: RosSuite, options: Options, on_stop: Callable[[], None]) -> Non
     from galen_panel.page import layout
     from galen_panel.page.page import Page
 
-    recordings = Recordings(options.bags_dir, options.tools_dir, options.output_dir)
+    def arm() -> Arm:
+        return suite.state.drawing.arm if suite.state.drawing else GALEN
+
+    recordings = Recordings(options.bags_dir, options.tools_dir, options.output_dir, arm)
     # NiceGUI adds middleware of its own when it starts, around what was added before; one has
     # browsers keep whatever comes from below /_nicegui, a rejection as well, for a year.
     inner = app.build_middleware_stack
@@ -61,6 +71,7 @@ def serve(suite: RosSuite, options: Options, on_stop: Callable[[], None]) -> Non
     app.on_shutdown(recordings.jobs.close)
     app.on_shutdown(on_stop)
     recordings.reports.serve(app)
+    app.add_route(f"{MESHES_PATH}/{{name}}", mesh_answer(suite), methods=["GET"])
 
     @ui.page("/", title="Galen")
     def panel() -> None:
@@ -88,6 +99,19 @@ def serve(suite: RosSuite, options: Options, on_stop: Callable[[], None]) -> Non
         ws_per_message_deflate=False,
     )
     ignore_signals()
+
+
+def mesh_answer(suite: RosSuite) -> Callable[[Request], Awaitable[Response]]:
+    """Make the route of the present arm's meshes; no path is made of what a browser asks for."""
+
+    async def answer(request: Request) -> Response:
+        drawing = suite.state.drawing
+        content = drawing and drawing.meshes.get(request.path_params["name"])
+        if not content:
+            return PlainTextResponse("There is no such mesh.\n", 404)
+        return Response(content, media_type="model/stl", headers=_KEPT)
+
+    return answer
 
 
 _ICON = (

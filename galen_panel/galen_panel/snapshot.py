@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Literal
 
+from galen_panel.shapes import Drawing
+
 Vector = tuple[float, ...]
 
 
@@ -140,6 +142,7 @@ class SuiteState:
 
     available holds names as in the contract: `gravcomp/set_tool`, `calibrate_tool`, `attach_tool`.
     namespace: the panel's own, without slashes at its ends; nodes of others are another arm's.
+    drawing: the arm, None until its description came; arm_problem: why it lacks or may be wrong.
     """
 
     revision: int = 0
@@ -151,6 +154,8 @@ class SuiteState:
     behaviours: Mapping[BehaviourKind, Behaviour] = field(default_factory=dict)
     available: frozenset[str] = frozenset()
     namespace: str = ""
+    drawing: Drawing | None = None
+    arm_problem: str = ""
 
     def full_name(self, node: str) -> str:
         """Return the name on /diagnostics of a node in the panel's own namespace."""
@@ -196,7 +201,8 @@ class ToolComparison:
 class Goal:
     """A behaviour's goal. tool: of a check "" is the active one; name: of a collection's recording.
 
-    tip_m None: the file's is kept. by_hand: a person changes the tool, or pushes.
+    tip_m None: the file's is kept. by_hand: an operator changes the tool, or pushes;
+    hand_guided: an operator moves the arm, too.
     """
 
     kind: BehaviourKind
@@ -205,3 +211,4 @@ class Goal:
     tip_m: Vector | None = None
     one_sweep: bool = False
     by_hand: bool = False
+    hand_guided: bool = False

@@ -1,5 +1,6 @@
-"""The panel on a made-up suite: python fake_panel.py --port 8090."""
+"""The panel on a made-up suite: [FAKE_PANEL_URDF=FILE] python fake_panel.py --port 8090."""
 
+import os
 import sys
 import threading
 import time
@@ -8,6 +9,7 @@ from fake_suite import FakeSuite
 from galen_model.errors import GalenError
 from galen_panel.options import read_options
 from galen_panel.server import serve
+from galen_ros.arm import ArmParameters
 
 
 def stream(suite):
@@ -20,7 +22,7 @@ def stream(suite):
 
 
 if __name__ == "__main__":
-    suite = FakeSuite()
+    suite = FakeSuite(ArmParameters(urdf_file=os.environ.get("FAKE_PANEL_URDF", "")).arm())
     threading.Thread(target=stream, args=(suite,), daemon=True).start()
     options = read_options(sys.argv[1:])
     try:

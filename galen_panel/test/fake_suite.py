@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from galen_model.arm.galen import GALEN
 from galen_panel.history import History
+from galen_panel.shapes import draw
 from galen_panel.snapshot import (
     CallAnswer,
     ListedTool,
@@ -50,13 +51,13 @@ ALL = frozenset(
 class FakeSuite:
     """Notes each call in `calls`, answers `answer`; `put` changes the state."""
 
-    def __init__(self):
+    def __init__(self, arm=GALEN):
         self.state = SuiteState(
             1, (POINTER, RETRACTOR, BROKEN), "/tools", "", ACTIVE,
-            {one.name: one for one in (COMPENSATING, CALIBRATION_READY)}, {}, ALL
+            {one.name: one for one in (COMPENSATING, CALIBRATION_READY)}, {}, ALL,
+            drawing=draw(arm),
         )  # fmt: skip
-        self.arm = GALEN
-        self.history = History()
+        self.history = History(arm)
         self.calls = []
         self.answer = CallAnswer(True, "done")
         self.comparison = ToolComparison(
@@ -89,11 +90,10 @@ class FakeSuite:
         self.history.deflection.append(
             stamps[::5], swing[::5] * [3e-4, 2e-4, 1e-4, 1e-3, 1e-3, 1e-3]
         )
-        self.history.joints.append(
-            stamps[::5],
-            np.column_stack([0.02 * swing[::5, :2], 0.408 + 0.02 * swing[::5, 2],
-                             0.8 * swing[::5, 0], 0.5 * swing[::5, 1]]),
-        )  # fmt: skip
+        arm = self.state.drawing.arm
+        sizes = np.where(np.array(arm.units) == "m", 0.02, 0.8)
+        joints = arm.home + sizes * np.resize(swing[::5].T, (len(arm.joints), len(t[::5]))).T
+        self.history.joints.append(stamps[::5], joints)
 
     async def _called(self, *call):
         self.calls.append(call)

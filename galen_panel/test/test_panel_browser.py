@@ -158,6 +158,33 @@ def test_plots_hold_what_was_streamed_and_the_arm_moves(page):
     page.wait(lambda: list(page.folder.glob("galen_wrench_*.csv")), "a CSV file", PATIENCE_S)
 
 
+TRIANGLES = """
+const scene = window['scene_' + document.querySelector('[data-testid=arm]')?.id];
+const object = scene?.children.find(child => child.userData.loaded);
+const drawn = [];
+object?.traverse(one => one.geometry && one.visible && drawn.push(one));
+return drawn.filter(one => one.geometry.attributes.position?.count === 12).length;
+"""
+
+
+def test_a_described_arm_is_drawn_with_its_meshes(browser, tmp_path):
+    mesh = tmp_path / "forearm.obj"
+    mesh.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
+    urdf = (BAGS.parent / "galen_bringup/urdf/six_axis.urdf").read_text()
+    forearm = '<cylinder radius="0.042" length="0.392"/>'
+    assert forearm in urdf
+    described = tmp_path / "arm.urdf"
+    described.write_text(urdf.replace(forearm, f'<mesh filename="file://{mesh}" scale="1 1 .1"/>'))
+    with PanelWorld(tmp_path) as world:
+        browser.open(world.start_panel(fake=True, FAKE_PANEL_URDF=str(described)))
+        connected(browser)
+        open_tab(browser, "live")
+        browser.wait(lambda: browser.script(TRIANGLES) == 2, "the mesh, and its ghost", PATIENCE_S)
+        browser.says("arm-wrist_3", "°", patience_s=PATIENCE_S)
+        assert too_small(texts(browser)) == [] and too_faint(texts(browser)) == []
+        browser.driver.get("about:blank")
+
+
 # Recordings
 
 

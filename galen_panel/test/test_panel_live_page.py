@@ -6,14 +6,18 @@ import functools
 import inspect
 import io
 import json
+from pathlib import Path
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import pytest
 from fake_suite import FakeSuite
+from galen_model.arm.description import read_arm
 from galen_model.arm.galen import GALEN
 from galen_model.rotation import quaternion_to_matrix
 from galen_panel.page import live
 from galen_panel.page.arm import FORCE_M_PER_N, parts, place
+from galen_panel.shapes import draw
 from page_user import on_page
 
 START_S = 1_000_000.0
@@ -46,13 +50,19 @@ class Shown:
         return True
 
 
-def live_test(story):
-    """Make a test of a coroutine function `story(user, shown)`, on a live page with 30 s."""
+def live_test(story=None, **changes):
+    """Make a test of a coroutine function `story(user, shown)`, on a live page with 30 s.
+
+    changes: of the suite's state, before the page is drawn.
+    """
+    if story is None:
+        return functools.partial(live_test, **changes)
 
     @functools.wraps(story)
     def test():
         suite = FakeSuite()
         suite.stream(START_S, 30.0)
+        suite.put(**changes)
         shown = Shown(suite)
 
         async def whole(user):
@@ -179,6 +189,26 @@ async def test_the_arm_is_placed_bent_and_told_in_numbers(user, shown):
     assert user.text("factor") == "Bend × 200"
 
 
+@live_test(drawing=None, arm_problem="No arm is shown: waiting for /robot_description")
+async def test_an_arm_that_comes_later_is_shown_with_its_own_joints(user, shown):
+    suite = shown.suite
+    await user.until(lambda: shown.shown)
+    assert user.text("arm-problem").startswith("No arm is shown: waiting")
+    assert not user.all("arm")
+    urdf = (Path(__file__).parents[2] / "galen_bringup/urdf/six_axis.urdf").read_text()
+    odd = 'elbow a=b "c" <i>'
+    arm = read_arm(urdf.replace('"elbow"', quoteattr(odd)))
+    suite.history.follow(arm)
+    suite.put(drawing=draw(arm), arm_problem="")
+    suite.stream(START_S + 30.0, 0.1)
+    joints = suite.history.joints.last(0.0).values[0]
+    await user.until(lambda: user.text("arm-wrist_3") == f"{np.degrees(joints[5]):.2f}°")
+    assert user.text(f"arm-{odd}") == f"{np.degrees(joints[2]):.2f}°"
+    assert not user.all("arm-problem") and not user.all("arm-roll")
+    user.trigger("arm", "init")
+    await user.until(lambda: "straight/7" in (shown.placements or [{}])[-1])
+
+
 # Pictures of the arm, and what is missing, without a page
 
 TIP, COM = np.array([0.15, 0.0, 0.05]), np.array([0.055, 0.002, 0.045])
@@ -193,8 +223,8 @@ def ends(place):
 
 
 def test_the_chain_goes_from_the_base_to_the_tip_and_the_bent_one_to_the_displaced_tip():
-    placed = place(GALEN, JOINTS, TIP, COM, DEFLECTION, WRENCH)
-    assert {part["name"] for part in parts(GALEN)} == set(placed)
+    placed = place(draw(GALEN), JOINTS, TIP, COM, DEFLECTION, WRENCH)
+    assert {part["name"] for part in parts(draw(GALEN))} == set(placed)
     rotation, sensor = GALEN.sensor_pose(JOINTS)
     _, tip = GALEN.tip_pose(JOINTS, TIP)
     np.testing.assert_allclose(ends(placed["straight/6"]), [sensor, tip], atol=2e-5)
@@ -210,11 +240,11 @@ def test_the_chain_goes_from_the_base_to_the_tip_and_the_bent_one_to_the_displac
         quaternion_to_matrix(placed["force"][3:7])[:, 2], force / size, atol=1e-4
     )
     assert placed["force"][7] == pytest.approx(FORCE_M_PER_N * size, abs=1e-4)
-    assert json.loads(json.dumps([parts(GALEN), placed]))
+    assert json.loads(json.dumps([parts(draw(GALEN)), placed]))
 
 
 def test_what_is_not_known_is_not_drawn():
-    placed = place(GALEN, GALEN.home, np.zeros(3), None, None, 0.01 * WRENCH)
+    placed = place(draw(GALEN), GALEN.home, np.zeros(3), None, None, 0.01 * WRENCH)
     assert placed["force"] is None and placed["com"] is None
     assert {value for name, value in placed.items() if name.startswith("bent/")} == {None}
     assert placed["straight/6"] is None, "no tool"

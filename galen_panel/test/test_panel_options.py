@@ -152,6 +152,7 @@ def test_a_signal_ends_it_with_code_0_also_with_a_connection_open(world, number)
     assert "Traceback" not in world.log("panel")
 
 
+@pytest.mark.slow
 def test_a_signal_that_is_repeated_ends_it_as_one_does(world):
     """As Ctrl-C does that a person presses twice, or that a launch hands on."""
     world.start_panel(fake=True)

@@ -19,6 +19,7 @@ VALUES = {
     "com_std_m": [2e-5, 2e-5, 3e-5], "rmse_force_n": [1e-3, 1e-3, 2e-3],
     "rmse_torque_nm": [3e-5, 3e-5, 3e-5], "poses_used": 55,
     "poses_rejected": ["tool/9: not still"],
+    "model": "constant bias", "model_reason": "8 blocks: none is better",
 }  # fmt: skip
 CALIBRATING = Behaviour(
     7, BehaviourKind.CALIBRATE, "retractor", "sweep with tool", "at a pose", 12, 112
@@ -78,6 +79,12 @@ async def test_the_arm_is_not_moved_at_one_click(user, suite):
     await user.until(lambda: user.all("dialog-ok"))
     assert "about 2 min" in dialog_text(user)
     assert "removed and put on" in dialog_text(user)
+    user.click("dialog-cancel")
+    await user.until(lambda: not user.all("dialog-ok"))
+    user.enter("calibrate-hand-guided", True)
+    user.click("calibrate")
+    await user.until(lambda: user.all("dialog-ok"))
+    assert "The arm is not moved: turn the wrist" in dialog_text(user)
 
 
 @page_test
@@ -101,6 +108,7 @@ async def test_each_is_started_with_what_was_chosen(user, suite):
     user.enter("calibrate-by-hand", True)
     await calibrate(user)
     goal = Goal(BehaviourKind.CALIBRATE, "retractor", one_sweep=True, by_hand=True)
+    assert not goal.hand_guided
     await user.until(lambda: suite.calls[1:] == [("start", goal)])
     user.click("check")
     await user.until(lambda: suite.calls[2:] == [("start", Goal(BehaviourKind.CHECK, ""))])
@@ -187,6 +195,7 @@ async def test_a_calibration_is_shown_beside_the_old_one_and_kept(user, suite):
     await user.until(lambda: ("compare", "retractor") in suite.calls)
     await user.until(lambda: "+0.10 g" in user.text("beside"))
     assert "Residual of the averaged readings: 2.4 mN, 0.052 mN·m." in user.text("outcome")
+    assert "Model: constant bias - 8 blocks: none is better." in user.text("outcome")
     assert "1 not used" in _headers(user)
     user.click("keep")
     await user.until(lambda: ("activate", "retractor") in suite.calls)

@@ -5,10 +5,12 @@ from dataclasses import replace
 
 import pytest
 from fake_suite import ACTIVE, ALL, POINTER, RETRACTOR
+from galen_model.arm.galen import GALEN
 from galen_panel.messages import programs, texts
 from galen_panel.page.layout import count
 from galen_panel.page.outcome import ACTIVE as KEPT
 from galen_panel.page.outcome import HERE, REPLACED, fate, left_out, sentence_of, title_and_level
+from galen_panel.shapes import draw
 from galen_panel.snapshot import (
     Behaviour,
     BehaviourKind,
@@ -87,14 +89,17 @@ def test_nothing_is_started_while_something_moves_the_arm():
 
 
 def test_before_a_calibration_its_duration_is_told_where_its_node_tells_it():
-    def told(values, **options):
+    def told(values, arm=GALEN, **options):
         node = NodeReport("left/calibration", NodeLevel.OK, "ready", values, 0.0)
-        state = SuiteState(nodes={node.name: node}, namespace="left")
+        state = SuiteState(nodes={node.name: node}, namespace="left", drawing=draw(arm))
         chosen = {"one_sweep": False, "by_hand": False} | options
         return " ".join(programs.before_calibration(state, **chosen))
 
     assert "about 3 min" in told({"sweep_s": "102"})
     assert "about 50 s" in told({"sweep_s": "49.5"}, one_sweep=True)
+    serial = replace(GALEN, delta=None, urdf="")
+    assert "goes through its poses" in told({})
+    assert "goes through poses around the one that it has now" in told({}, serial)
     for odd in ({}, {"sweep_s": "soon"}, {"sweep_s": "nan"}):
         assert "does not tell how long" in told(odd)
 

@@ -10,7 +10,16 @@ import time
 from pathlib import Path
 
 import httpx
+import numpy as np
 import pytest
+from galen_bags.formats.writer import BagWriter
+from galen_model.arm.description import read_arm
+from galen_model.files.calibration_file import (
+    CalibrationFile,
+    LoadEstimate,
+    write_calibration,
+    zeroed_at,
+)
 from galen_panel.access import Access
 from galen_panel.recordings.recordings import Recordings
 from galen_panel.recordings.reports import (
@@ -20,6 +29,7 @@ from galen_panel.recordings.reports import (
     REPORTS_PATH,
     VERDICTS,
 )
+from galen_ros.cdr import joint_state_bytes, wrench_bytes
 from starlette.applications import Starlette
 
 BAGS = Path(__file__).resolve().parents[2] / "bags"
@@ -109,6 +119,37 @@ def test_an_evaluation_that_can_not_be_made_is_told(make, tmp_path):
     job, _ = finished(recordings, 1)
     assert job.stage == "failed" and job.text.startswith("It failed: ")
     assert "cut" in job.text and recordings.reports.all() == []
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_a_bag_of_another_arm_is_evaluated_on_the_panels(tmp_path):
+    urdf = (BAGS.parent / "galen_bringup/urdf/six_axis.urdf").read_text()
+    arm = read_arm(urdf, sensor_frame="tool0")
+    load, std = LoadEstimate(0.5, np.array([0.0, 0.01, 0.05]), 1e-8 * np.eye(4)), np.zeros(6)
+    tool = CalibrationFile("gripper", load, load, std[:3], std, 20, "2026-01-01T00:00:00+00:00",
+                           arm=arm, zeroing=zeroed_at(arm=arm))  # fmt: skip
+    (tmp_path / "tools").mkdir()
+    write_calibration(tmp_path / "tools" / "gripper.json", tool)
+    rng = np.random.default_rng(2)
+    wire, joints = wrench_bytes("tool0"), joint_state_bytes(arm.joint_names)
+    with BagWriter(tmp_path / "bags" / "rest") as bag:
+        at = {name: bag.add_topic(name, kind) for name, kind in (
+            ("joint_states", "sensor_msgs/msg/JointState"),
+            ("wrench_raw", "geometry_msgs/msg/WrenchStamped"),
+        )}  # fmt: skip
+        poses = np.repeat(rng.uniform(-1.5, 1.5, (6, 6)), 400, axis=0)
+        readings = tool.predict(poses) + rng.normal(size=(2400, 6)) * np.repeat([0.02, 4e-4], 3)
+        for k, (pose, reading) in enumerate(zip(poses, readings, strict=True)):
+            stamp = 10**18 + k * 10**7
+            bag.write(at["joint_states"], stamp, joints.fill(stamp, pose, 0.0 * pose))
+            bag.write(at["wrench_raw"], stamp, wire.fill(stamp, reading))
+    recordings = Recordings(tmp_path / "bags", tmp_path / "tools", tmp_path / "out", lambda: arm)
+    (found,) = recordings.search()
+    assert recordings.start(found.id, "tools:gripper").ok
+    job, _ = finished(recordings, 1)
+    recordings.jobs.close()
+    assert (job.stage, recordings.reports.all()[0].verdict) == ("done", "fits"), job.text
 
 
 @pytest.mark.slow

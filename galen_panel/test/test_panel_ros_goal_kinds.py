@@ -28,6 +28,8 @@ def test_goals_become_those_of_the_actions():
     request = CALIBRATE.request(goal(CALIBRATE, "pointer", one_sweep=True, by_hand=True))
     assert (request.tool, request.one_sweep, request.attach_by_service) == ("pointer", True, False)
     assert all(math.isnan(value) for value in request.tip_m)
+    request = CALIBRATE.request(goal(CALIBRATE, "pointer", hand_guided=True))
+    assert (request.by_hand, request.attach_by_service) == (True, False)
     assert CHECK.request(goal(CHECK)).tool == ""
     request = COLLECT.request(goal(COLLECT, "pointer", name="monday"))
     assert (request.name, request.tool, request.push_by_service) == ("monday", "pointer", True)

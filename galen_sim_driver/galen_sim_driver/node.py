@@ -8,14 +8,14 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from galen_model.arm.galen import SENSOR_FRAME, TRACKER_FRAME
-from galen_model.arm.urdf import galen_urdf
+from galen_model.arm.galen import TRACKER_FRAME, galen_urdf
 from galen_model.errors import ToolNameError
 from galen_model.files.calibration_file import check_tool_name
 from galen_ros.cdr import joint_state_bytes, wrench_bytes
 from galen_ros.messages import LATCHED, STREAM, fill_stamp, stamp_to_ns, wrench_to_array
 from galen_ros.node.diagnostics import ERROR, OK, WARN, Level, Status
 from galen_ros.node.managed_node import ManagedNode
+from galen_ros.node.parameters import declare_parameters
 from galen_ros.node.spin import run
 from galen_ros.rclpy_workarounds import DeferredService, Respond
 from geometry_msgs.msg import PoseStamped, WrenchStamped
@@ -29,9 +29,15 @@ from trajectory_msgs.msg import JointTrajectory
 
 from galen_msgs.srv import PushTool, SetTool
 from galen_sim_driver.effects.effect import ConfigError
-from galen_sim_driver.parameters import DRIVER_NODE, DriverParameters, EffectParameters, effects_of
+from galen_sim_driver.parameters import (
+    DRIVER_NODE,
+    DriverParameters,
+    SimulatedArmParameters,
+    effect_parameters,
+    effects_of,
+)
 from galen_sim_driver.plant.cell import Plant, Sample
-from galen_sim_driver.plant.config import VELOCITY, HandPush, PlantError
+from galen_sim_driver.plant.config import HandPush, PlantError
 from galen_sim_driver.plant.motion import Trajectory, TrajectoryPoint
 from galen_sim_driver.plant.sensors import MarkerPose, Zeroing
 
@@ -149,14 +155,16 @@ class SimDriverNode(ManagedNode):
         """Take rclpy.node.Node's keyword arguments, such as context and parameter_overrides."""
         super().__init__(DRIVER_NODE, **node_options)
         self._held = self.hold(DriverParameters, self._on_parameters)
-        self._held_effects = self.hold(EffectParameters)
+        # What effects have parameters hangs on the arm, which therefore stays as it is.
+        self._arm = declare_parameters(self, SimulatedArmParameters).arm()
+        self._held_effects = self.hold(effect_parameters(self._arm))
         self.start()
 
     def _configure(self) -> None:
         self._settings = self._held.now
         effects = effects_of(self._held_effects.now)
         real_time = self._settings.speed_factor == 1.0
-        config = replace(self._settings.plant_config(), effects=effects)
+        config = replace(self._settings.plant_config(self._arm), effects=effects)
         if real_time:
             config = replace(config, start_ns=time.time_ns())
         self._config = config
@@ -169,7 +177,7 @@ class SimDriverNode(ManagedNode):
         """A zeroing under way, and the response that its caller waits for."""
 
         self._joint_state_bytes = joint_state_bytes(config.arm.joint_names, "")
-        self._wrench_bytes = wrench_bytes(SENSOR_FRAME)
+        self._wrench_bytes = wrench_bytes(self._arm.sensor_frame)
         self._pose = PoseStamped()
         self._pose.header.frame_id = TRACKER_FRAME
         self._clock_message = ClockMessage()
@@ -243,9 +251,10 @@ class SimDriverNode(ManagedNode):
                     publisher.publish(self._pose)
 
     def _publish_description(self) -> None:
-        tool = self._config.tools.get(self._plant.tool)
-        tip_m = np.zeros(3) if tool is None else tool.tip_m
-        text = galen_urdf(tip_m, self._config.arm, max_velocity=VELOCITY)
+        text = self._arm.urdf
+        if self._arm.delta is not None:  # the Galen's has the tip of the tool that is on
+            tool = self._config.tools.get(self._plant.tool)
+            text = galen_urdf(self._arm, np.zeros(3) if tool is None else tool.tip_m)
         self._description.publish(String(data=text))
 
     # --- commands in ------------------------------------------------------------------------
@@ -266,9 +275,10 @@ class SimDriverNode(ManagedNode):
     def _on_wrench_compensated(self, message: WrenchStamped) -> None:
         if self._settings.admittance_source != "compensated":
             return
-        if message.header.frame_id != SENSOR_FRAME:
+        frame = self._arm.sensor_frame
+        if message.header.frame_id != frame:
             self._ignored_wrench = (
-                f"wrench_compensated is in frame '{message.header.frame_id}', not '{SENSOR_FRAME}'"
+                f"wrench_compensated is in frame '{message.header.frame_id}', not '{frame}'"
             )
             return
         self._ignored_wrench = ""

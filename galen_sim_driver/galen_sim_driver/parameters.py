@@ -2,8 +2,8 @@
 
 An effect's parameter is named after the effect, then the number as the contract names it, with
 words that end the one and begin the other written once: `bias_step` and `time_s` make
-`bias_step_time_s`. An effect of a joint has parameters for each joint: `joint_zero_offset`, `tilt`
-and `offset_rad` make `joint_zero_offset_tilt_rad`.
+`bias_step_time_s`. An effect of a joint has parameters for each of the arm's joints:
+`joint_zero_offset`, `tilt` and `offset_rad` make `joint_zero_offset_tilt_rad`.
 """
 
 from __future__ import annotations
@@ -14,13 +14,16 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN, SENSOR
 from galen_model.files.calibration_file import check_tool_name
 from galen_model.load.model import ADAPTER, TOOLS, Load, ToolGeometry
+from galen_ros.arm import ArmParameters
 from galen_ros.parameters import ParameterError, param, param_fields
 
 from galen_sim_driver.effects.effect import ConfigError, Effect
-from galen_sim_driver.effects.registry import IDENTITIES
+from galen_sim_driver.effects.joints import as_word
+from galen_sim_driver.effects.registry import identities
 from galen_sim_driver.plant.config import HandPush, PlantConfig, Pose, Vector3
 
 _NUMBERS_A_PUSH = 8
@@ -29,6 +32,17 @@ _DEFAULT = PlantConfig()
 
 def _flat(vectors: Iterable[Iterable[float]]) -> list[float]:
     return [float(value) for vector in vectors for value in vector]
+
+
+@dataclass(frozen=True)
+class SimulatedArmParameters(ArmParameters):
+    """The arm of `sim_driver_node`, which publishes `robot_description` itself."""
+
+    urdf_file: str = param(
+        "", "file of the robot description (URDF); `~` is expanded; empty: the Galen"
+    )
+    use_robot_description: bool = False
+    """Without `param` it is no parameter."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +59,7 @@ class DriverParameters:
     seed: int = param(0, "seed of every noise; the same seed gives the same noise", minimum=0)
     noise: bool = param(True, "noise of sensor and tracker, and the sensor's quanta")
     start_joints: tuple[float, ...] = param(
-        GALEN.home.tolist(), "joints at the start, in the arm's order, m and rad"
+        (), "joints at the start, in the arm's order, m and rad; empty for home"
     )
     adapter_mass_kg: float = param(ADAPTER.mass_kg, "mass of the adapter, kg", minimum=0.0)
     adapter_com_m: tuple[float, ...] = param(
@@ -102,7 +116,6 @@ class DriverParameters:
         pushes = len(self.hand_pushes) // _NUMBERS_A_PUSH
         for name, length in (
             ("sensor_noise", 6),
-            ("start_joints", len(GALEN.joints)),
             ("adapter_com_m", 3),
             ("tool_marker_m", 3),
             ("tool_marker_rotvec_rad", 3),
@@ -133,15 +146,17 @@ class DriverParameters:
             raise ParameterError(
                 f"parameter 'hand_frames' has {len(self.hand_frames)} entries for {pushes} pushes"
             )
-        self.plant_config().validate()
+        # Where the joints start is checked with the arm.
+        dataclasses.replace(self, start_joints=()).plant_config().validate()
 
-    def plant_config(self) -> PlantConfig:
-        """Return the plant's configuration."""
+    def plant_config(self, arm: Arm = GALEN) -> PlantConfig:
+        """Return the configuration of a plant with this arm."""
         com = np.reshape(self.tool_com_m, (-1, 3))
         tip = np.reshape(self.tool_tip_m, (-1, 3))
         rows = np.reshape(self.hand_pushes, (-1, _NUMBERS_A_PUSH)).tolist()
         frames = self.hand_frames * len(rows) if len(self.hand_frames) == 1 else self.hand_frames
         return PlantConfig(
+            arm=arm,
             start_joints=self.start_joints,
             adapter=Load(self.adapter_mass_kg, np.array(self.adapter_com_m)),
             tools={
@@ -173,10 +188,11 @@ DRIVER_NODE = "sim_driver"
 def parameter_name(effect: Effect, field: str) -> str:
     """Return the driver's parameter for a field of an effect."""
     own = effect.name.split("_")
-    told = effect.contract_names.get(field, field).lower().replace(".", "_").split("_")
+    group, *entry = effect.contract_names.get(field, field).split(".", 1)
+    told = group.lower().split("_")
     shared = max(k for k in range(min(len(own), len(told)) + 1) if own[len(own) - k :] == told[:k])
-    joint = effect.identity.split(":")[1:]
-    return "_".join(own + joint + told[shared:])
+    joint = effect.identity.split(":", 1)[1:]
+    return "_".join([*own, *map(as_word, joint), *told[shared:], *map(as_word, entry)])
 
 
 def _names(effect: Effect) -> dict[str, str]:
@@ -188,39 +204,33 @@ def _names(effect: Effect) -> dict[str, str]:
     }
 
 
-def _fields() -> list[tuple[str, Any, Any]]:
-    found = []
-    for effect in IDENTITIES.values():
+def effect_parameters(arm: Arm) -> type[Any]:
+    """Return the parameters of all effects of an arm, as `ManagedNode.hold` takes them."""
+    nothing = identities(arm)
+    found: list[tuple[str, Any, Any]] = []
+    for effect in nothing.values():
         declared = param_fields(type(effect))
         for name, field in _names(effect).items():
-            hint, default, meaning = declared[field]
+            hint, _, meaning = declared[field]
+            default = getattr(effect, field)
             found.append(
                 (name, hint, dataclasses.field(default=default, metadata={"param": meaning}))
             )
-    return found
-
-
-def _validate(parameters: Any) -> None:
-    """Raise ParameterError or ConfigError, naming the parameter."""
-    effects_of(parameters)
-
-
-EffectParameters: type[Any] = dataclasses.make_dataclass(
-    "EffectParameters",
-    _fields(),
-    namespace={"__module__": __name__, "validate": _validate},
-    frozen=True,
-)
-"""All effects' parameters, as `galen_ros.node.parameters.declare_parameters` takes them."""
+    return dataclasses.make_dataclass(
+        "EffectParameters",
+        found,
+        namespace={"__module__": __name__, "validate": effects_of, "nothing": nothing},
+        frozen=True,
+    )
 
 
 def effects_of(parameters: Any) -> tuple[Effect, ...]:
-    """Return the effects that an instance of `EffectParameters` switches on.
+    """Return the effects that an instance of `effect_parameters` switches on.
 
     Raises ParameterError or ConfigError, naming the parameter.
     """
     asked = []
-    for nothing in IDENTITIES.values():
+    for nothing in parameters.nothing.values():
         declared = param_fields(type(nothing))
         values = {}
         for name, field in _names(nothing).items():
@@ -235,6 +245,10 @@ def effects_of(parameters: Any) -> tuple[Effect, ...]:
         if not effect.changes_nothing:
             asked.append(effect)
     return tuple(asked)
+
+
+EffectParameters = effect_parameters(GALEN)
+"""Those of the Galen's effects."""
 
 
 def driver_parameters(effects: Iterable[Effect]) -> dict[str, Any]:

@@ -67,7 +67,9 @@ def test_a_cable_pulls_along_its_line_without_a_moment_about_its_anchor():
     rng = np.random.default_rng(1)
     joints = GALEN.home + rng.uniform(-1.0, 1.0, (30, 5)) * [0.14, 0.14, 0.2, 1.5, 0.9]
     rotation, origin = GALEN.sensor_pose(joints)
-    posture = Posture(joints, rotation, origin, None, None, POINTER.load, ADAPTER, POINTER.tip_m)
+    posture = Posture(
+        joints, rotation, origin, None, None, POINTER.load, ADAPTER, POINTER.tip_m, GALEN
+    )
 
     def pull(effect):
         return effect.wrench(instants(30), posture)
@@ -120,7 +122,9 @@ def test_the_tension_is_the_mean_one_where_the_reference_is_centred():
     by_force = np.linalg.norm(
         drag.wrench(
             instants(400),
-            Posture(joints, rotation, origin, None, None, POINTER.load, ADAPTER, POINTER.tip_m),
+            Posture(
+                joints, rotation, origin, None, None, POINTER.load, ADAPTER, POINTER.tip_m, GALEN
+            ),
         )[:, :3],
         axis=1,
     )
@@ -136,7 +140,7 @@ def test_the_tension_is_the_mean_one_where_the_reference_is_centred():
 def test_other_stiffnesses_bend_as_the_stiffness_model_says_and_linearly_in_softness():
     rng = np.random.default_rng(5)
     wrench = rng.uniform(-1.0, 1.0, (8, 6)) * [8.0, 8.0, 8.0, 0.3, 0.3, 0.3]
-    softer = JointCompliance(roll=1200.0, carriage=2e5, rod=3e6)
+    softer = JointCompliance(k_roll=1200.0, k_carriage=2e5, k_rod=3e6)
     pushed = scene(0.1 * np.arange(8), TURNED, wrench)
 
     def bent(effects):
@@ -290,8 +294,19 @@ def test_a_push_takes_a_joint_to_the_side_it_pushes_to_and_leaves_it_there(joint
     moved = Backlash(joint, gap).fresh().deflect(instants(len(load)), replace(given, joints=joints))
     assert moved[120] == pytest.approx(gap * column, abs=1e-12)
     assert moved[240] == pytest.approx(np.zeros(6), abs=1e-12)
-    with pytest.raises(ConfigError, match="elbow"):
-        Backlash("elbow").validate()
+    # A centred one rests in the middle, wherever it came from.
+    centred = Backlash(joint, gap, crossing="centred").fresh()
+    moved = centred.deflect(instants(len(load)), replace(given, joints=joints))
+    assert moved[[120, 240]] == pytest.approx(np.outer([0.5, -0.5], gap * column), abs=1e-12)
+    # A soft one comes back, and gives way by no more than the gap.
+    moved = Backlash(joint, gap, crossing="soft").fresh().deflect(instants(len(load)), given)
+    assert moved[180] == pytest.approx(np.zeros(6), abs=1e-12)
+    assert np.abs(moved[[120, 240]]) == pytest.approx(np.abs(moved[[240, 120]]), abs=1e-12)
+    assert np.all(np.abs(moved) <= 0.5 * gap * np.abs(column) + 1e-12)
+    assert np.abs(moved[120]).max() > 0.4 * gap * np.abs(column).max()
+    for wrong in ({"joint": "elbow"}, {"joint": joint, "crossing": "elbow"}):
+        with pytest.raises(ConfigError, match="elbow"):
+            Backlash(**wrong).validate()
 
 
 # --- tracker ------------------------------------------------------------------------------------

@@ -19,10 +19,10 @@ from galen_sim_driver.effects.joints import (
 )
 from galen_sim_driver.effects.load import LooseTool, ToolComError, ToolMassError
 from galen_sim_driver.effects.registry import (
-    IDENTITIES,
     contract_parameters,
     effect_from,
     extra_parameters,
+    identities,
 )
 from galen_sim_driver.effects.sensor import (
     AxisGain,
@@ -37,6 +37,7 @@ from galen_sim_driver.replay import Replay, Scene, rates
 from scipy.spatial.transform import Rotation
 
 TOOL = TOOLS["retractor"]
+IDENTITIES = identities(GALEN)
 BIAS = (0.1, -0.05)
 START_S = 30.0
 JOINT_S = np.arange(0.0, 4.0, 0.004)
@@ -342,7 +343,11 @@ def test_bad_numbers_are_named(name, parameters, words):
         ("tilt_zero_offset", {"offset_rad": 0.01}, JointZeroOffset("tilt", 0.01)),
         ("tilt_gain", {"gain": 0.02}, JointGain("tilt", 0.02)),
         ("tilt_axis_misalignment", {"about_z_rad": 0.03}, JointAxisMisalignment("tilt", "z", 0.03)),
-        ("joint_compliance", {"k_tilt": 900.0, "k_rod": 1e6}, JointCompliance(tilt=900.0, rod=1e6)),
+        (
+            "joint_compliance",
+            {"k_tilt": 900.0, "k_rod": 1e6},
+            JointCompliance(k_tilt=900.0, k_rod=1e6),
+        ),
     ],
 )
 def test_reads_the_names_from_before_effects_had_joints(name, parameters, effect):

@@ -80,7 +80,7 @@ def inertial_wrench(load, about_com, joints, velocities, accelerations):
     motion = sensor_motion(*(np.atleast_2d(part) for part in (joints, velocities, accelerations)))
     at = Posture(
         np.atleast_2d(joints), None, None, np.zeros((1, 3)), motion, load, Load(0.0, np.zeros(3)),
-        np.zeros(3),
+        np.zeros(3), GALEN,
     )  # fmt: skip
     effect = InertialLoad(load.mass_kg, about_com)
     (wrench,) = effect.wrench(Instants("", np.zeros(1), np.zeros(1)), at)

@@ -11,7 +11,7 @@ from galen_model.errors import GalenError
 from galen_model.load.model import ADAPTER, TOOLS
 from galen_model.rotation import quaternion_to_matrix, rotvec_to_matrix
 from galen_ros.parameters import param_fields
-from galen_sim_driver.effects.registry import IDENTITIES, effect_from
+from galen_sim_driver.effects.registry import effect_from, identities
 from galen_sim_driver.effects.sensor import (
     BaseShift,
     BiasStep,
@@ -48,6 +48,7 @@ EXACT = PlantConfig(
     hand=PUSHES,
 )
 BASE = BASE_IN_TRACKER
+IDENTITIES = identities(GALEN)
 
 
 def run(effects):

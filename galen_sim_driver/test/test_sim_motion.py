@@ -2,11 +2,19 @@
 
 import numpy as np
 from galen_model.arm.galen import GALEN
+from galen_ros.goal.parameters import MotionParameters
 from galen_sim_driver.plant import config
-from galen_sim_driver.plant.motion import LimitedMotion, stopping_distance
+from galen_sim_driver.plant.motion import (
+    LimitedMotion,
+    Reference,
+    Trajectory,
+    TrajectoryPoint,
+    stopping_distance,
+)
 
 PERIOD_S = 0.002
-VELOCITY, ACCELERATION = np.array(config.VELOCITY), np.array(config.ACCELERATION)
+VELOCITY = np.array(config.velocity_limits(GALEN))
+ACCELERATION = np.array(config.acceleration_limits(GALEN))
 
 
 def follow(targets, motion=None):
@@ -82,3 +90,23 @@ def test_stopping_distance_agrees_with_braking():
     assert np.all(velocities >= 0.0)
     assert np.all(np.abs(stop - positions[0] - before**2 / 2 / ACCELERATION) < before * PERIOD_S)
     assert stopping_distance(-0.1, 0.002, 0.002) == -stopping_distance(0.1, 0.002, 0.002) < 0.0
+
+
+def test_a_point_where_it_comes_to_rest_stops_the_arm_without_a_jump_or_a_way_back():
+    motion = LimitedMotion(GALEN, GALEN.home, PERIOD_S)
+    speed = np.array([0.05, -0.05, 0.02, 0.8, -0.6])
+    follow([GALEN.home + speed * PERIOD_S * k for k in range(1, 300)], motion)
+    rest, duration_s = MotionParameters().braking(
+        np.array(motion.positions), np.array(motion.velocities)
+    )
+    point = TrajectoryPoint(duration_s, rest.tolist(), [0.0] * 5, [0.0] * 5)
+    now = TrajectoryPoint(0.0, motion.positions, motion.velocities, motion.accelerations)
+    trajectory = Trajectory(GALEN.joint_names, [point])
+    reference = Reference(trajectory, GALEN, 0, now, motion.positions)
+    steps = range(1, int(duration_s / PERIOD_S) + 100)
+    targets = [reference.sample(int(k * PERIOD_S * 1e9)) for k in steps]
+    positions, velocities = follow(targets, motion)
+    assert_limits(positions, velocities)
+    assert np.all(np.sign(speed) * velocities >= -1e-9)
+    np.testing.assert_allclose(positions[-1], rest, atol=1e-9)
+    np.testing.assert_allclose(velocities[-1], 0.0, atol=1e-9)

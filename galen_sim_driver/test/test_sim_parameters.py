@@ -55,7 +55,6 @@ def test_the_admittance_timeout_is_wall_time_above_real_time():
     ("changes", "words"),
     [
         ({"sensor_noise": (0.1,)}, "sensor_noise.*1 numbers.*6"),
-        ({"start_joints": (0.0,) * 4}, "start_joints.*4 numbers.*5"),
         ({"tool_mass_kg": (0.1,)}, "tool_mass_kg.*1 numbers.*2"),
         ({"tools": ("a", "../b")}, "../b"),
         ({"tools": ("a", "a")}, "twice"),
@@ -70,6 +69,12 @@ def test_the_admittance_timeout_is_wall_time_above_real_time():
 def test_bad_values_are_named(changes, words):
     with pytest.raises(GalenError, match=words):
         replace(DEFAULT, **changes).validate()
+
+
+def test_the_start_is_checked_against_the_arm():
+    config = replace(DEFAULT, start_joints=(0.0,) * 4).plant_config()
+    with pytest.raises(GalenError, match=r"start_joints.*4 numbers.*5: delta_x, delta_y"):
+        config.validate()
 
 
 # --- pacing -----------------------------------------------------------------------------------

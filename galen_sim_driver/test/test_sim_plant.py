@@ -9,7 +9,7 @@ from galen_model.load.model import ADAPTER, TOOLS, Load, ToolGeometry, nominal_r
 from galen_model.registration import move_wrench
 from galen_sim_driver.effects.effect import ConfigError
 from galen_sim_driver.plant.cell import Plant
-from galen_sim_driver.plant.config import ACCELERATION, HandPush, PlantConfig, PlantError
+from galen_sim_driver.plant.config import HandPush, PlantConfig, PlantError, acceleration_limits
 from galen_sim_driver.plant.motion import Trajectory, TrajectoryPoint
 
 EXACT = {"noise": False, "quantise": False}
@@ -201,7 +201,7 @@ def test_a_stop_brakes_at_the_limit_and_stays():
     samples = [plant.step() for _ in range(500)]
     velocities = np.array([before.true_velocities] + [s.true_velocities for s in samples])
     steps = np.diff(velocities, axis=0)
-    assert np.all(np.abs(steps) <= np.array(ACCELERATION) * 0.002 * (1 + 1e-6))
+    assert np.all(np.abs(steps) <= np.array(acceleration_limits(GALEN)) * 0.002 * (1 + 1e-6))
     assert np.all(steps <= 1e-12)
     assert not plant.moving
     # v^2 / 2 a, to a period's way.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from contextlib import suppress
 from enum import IntEnum
@@ -12,7 +13,7 @@ import numpy as np
 from galen_model.arrays import Array
 from galen_model.errors import CalibrationFileError, GalenError, NotExcitedError, ToolNameError
 from galen_model.files.calibration_file import calibration_path
-from galen_model.load.mounting.identification import check_planned_mounting
+from galen_model.poses.plan import SweepPlan
 from galen_ros.goal.node import ArmAction, GoalNode, RejectedGoalError, RunningGoal, named
 from galen_ros.goal.procedure import End
 from rcl_interfaces.msg import ParameterType
@@ -20,9 +21,12 @@ from rcl_interfaces.srv import GetParameters
 from rclpy.action.server import ServerGoalHandle
 from rclpy.client import Client
 from rclpy.node import NodeNameNonExistentError
+from rclpy.qos import qos_profile_sensor_data
 from rclpy.task import Future
+from sensor_msgs.msg import Temperature
 from std_srvs.srv import Trigger
 
+from galen_calibration_behavior.calibration.by_hand import ByHandProcedure
 from galen_calibration_behavior.calibration.estimate import (
     Calibration,
     EstimateError,
@@ -37,6 +41,7 @@ from galen_calibration_behavior.calibration.procedure import (
     CalibrationRequest,
 )
 from galen_calibration_behavior.commands import (
+    WARNING,
     AttachTool,
     CalibrationCode,
     Measurements,
@@ -132,6 +137,9 @@ class CalibrateAction(ArmAction):
         self._zero_client = node.create_client(Trigger, "zero_ft_sensor")
         self._attach_client = node.create_client(SetTool, "attach_tool")
         node.create_service(Trigger, "~/confirm", self._on_confirm)
+        node.create_subscription(
+            Temperature, "temperature", self._on_temperature, qos_profile_sensor_data
+        )
 
     def make_goal(self, handle: ServerGoalHandle) -> _Calibrating:
         """Return the goal to run; raises RejectedGoalError."""
@@ -141,27 +149,24 @@ class CalibrateAction(ArmAction):
                 raise RejectedGoalError(
                     CalibrationCode.BAD_INPUT, f"{name} is {count}: at most {MAX_ITERS}, or 0"
                 )
-            if count and settings.poses != "grid":
+            if count and (settings.pose_kind != "grid" or request.by_hand):
+                kind = "an operator's" if request.by_hand else f"{settings.pose_kind} ones"
                 raise RejectedGoalError(
                     CalibrationCode.BAD_INPUT,
-                    f"{name} is {count}, but the node's poses are {settings.poses} ones",
+                    f"{name} is {count}, but there is no grid: the poses are {kind}",
                 )
         try:
             path = calibration_path(Path(settings.tools_dir).expanduser(), request.tool)
-            tip_m, warnings = choose_tip(np.array(request.tip_m, float), path)
+            tip_m, warnings = choose_tip(np.array(request.tip_m, float), path, settings.arm)
             if warnings and settings.obstacles:
                 raise GalenError(f"{warnings[0]}, so that it is not known what the tool would hit")
-            plan = settings.plan(
-                tip_m, one_sweep=request.one_sweep, tilts=request.iters_t, rolls=request.iters_r
-            )
-            if settings.estimate:
-                check_planned_mounting(
-                    plan.poses,
-                    settings.estimate,
-                    one_sweep=request.one_sweep,
-                    zero_angles=settings.home_angles,
-                    arm=settings.arm,
+            plan = SweepPlan(np.zeros((0, len(settings.arm.turning)))) if request.by_hand else None
+            if plan is None and settings.has_home:  # else once it is known where the arm stands
+                plan = settings.plan(
+                    tip_m, one_sweep=request.one_sweep, tilts=request.iters_t, rolls=request.iters_r
                 )
+            elif plan is None and warnings:
+                warnings.append("without its tip it is not known what the tool would hit")
             check_writable(path)
         except ToolNameError as error:
             raise RejectedGoalError(CalibrationCode.INVALID_NAME, str(error)) from error
@@ -171,14 +176,18 @@ class CalibrateAction(ArmAction):
             raise RejectedGoalError(CalibrationCode.NOT_EXCITED, str(error)) from error
         except GalenError as error:
             raise RejectedGoalError(CalibrationCode.BAD_INPUT, str(error)) from error
-        procedure = CalibrationProcedure(
-            settings.of_sweep(),
+        by_hand = request.by_hand
+        procedure = (ByHandProcedure if by_hand else CalibrationProcedure)(
+            settings if by_hand else settings.of_sweep(),
             CalibrationRequest(
                 request.tool,
                 request.one_sweep,
                 request.attach_by_service,
-                plan.poses,
-                plan.router,
+                None if plan is None else plan.poses,
+                None if plan is None else plan.router,
+                zero=not by_hand or self._zero_client.service_is_ready(),
+                tip_m=tip_m,
+                warnings=(*warnings, *(() if plan is None else plan.warnings)),
             ),
         )
         return _Calibrating(self, handle, procedure, path, tip_m, warnings)
@@ -214,12 +223,18 @@ class CalibrateAction(ArmAction):
             response.message = f"it waits for no confirmation: state {goal.procedure.state.name}"
         return response
 
+    def _on_temperature(self, message: Temperature) -> None:
+        goal = self.node.goal
+        if goal is not None and goal.action is self and math.isfinite(message.temperature):
+            goal.procedure.temperature_c = message.temperature
+
     # ---- commands
 
     def needed_clients(self, goal: _Calibrating) -> list[Client]:
         """Return the clients of the services that the goal can't do without."""
-        by_service = goal.handle.request.attach_by_service
-        return [self._zero_client, self._attach_client] if by_service else [self._zero_client]
+        request = goal.handle.request
+        zero = [] if request.by_hand else [self._zero_client]
+        return [*zero, self._attach_client] if request.attach_by_service else zero
 
     def find_missing(self, goal: _Calibrating) -> tuple[IntEnum, str] | None:
         """Ask a driver that changes tools whether it knows this one, before the arm moves."""
@@ -265,22 +280,41 @@ class CalibrateAction(ArmAction):
                 self._estimate(goal, command)
 
     def _estimate(self, goal: _Calibrating, measurements: Measurements) -> None:
+        """Identify beside the executor, which goes on; write where the goal still wants it."""
         groups = self.node.settings.estimate
-        try:
-            calibration = estimate(
-                goal.path,
-                goal.handle.request.tool,
-                goal.tip_m,
-                measurements,
-                goal.warnings,
-                mounting=MountingRequest(groups) if groups else None,
-            )
-            calibration.write()
-        except EstimateError as error:
-            goal.procedure.fail(error.code, str(error))
-        else:
-            goal.calibration = calibration
-            goal.procedure.on_estimated()
+
+        def go_on(_compared: str) -> None:
+            if self.node.goal is not goal or goal.procedure.ending:
+                raise EstimateError(CalibrationCode.CANCELED, "not needed any more")
+
+        def identify() -> Calibration | EstimateError:
+            try:
+                return estimate(
+                    goal.path,
+                    goal.handle.request.tool,
+                    goal.tip_m,
+                    measurements,
+                    goal.warnings,
+                    mounting=MountingRequest(groups) if groups else None,
+                    progress=go_on,
+                )
+            except EstimateError as error:
+                return error
+
+        def finish(found: Calibration | EstimateError) -> None:
+            if goal.procedure.ending:
+                return
+            try:
+                if isinstance(found, EstimateError):
+                    raise found
+                found.write()
+            except EstimateError as error:
+                goal.procedure.fail(error.code, str(error))
+            else:
+                goal.calibration = found
+                goal.procedure.on_estimated()
+
+        self.node.work(goal, identify, finish)
 
     def _publish_feedback(self, goal: _Calibrating, feedback: PoseFeedback) -> None:
         message = CalibrateTool.Feedback(
@@ -295,7 +329,10 @@ class CalibrateAction(ArmAction):
             message=feedback.message,
         )
         goal.handle.publish_feedback(message)
-        self.node.get_logger().debug(feedback.message)
+        if feedback.message.startswith(WARNING):
+            self.node.get_logger().warning(feedback.message)
+        else:
+            self.node.get_logger().debug(feedback.message)
 
     # ---- diagnostics
 

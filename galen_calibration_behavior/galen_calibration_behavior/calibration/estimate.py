@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from galen_model.arm.galen import WRENCH_AXES
+from galen_model.arm.arm import Arm
+from galen_model.arm.galen import GALEN, WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.errors import (
     CalibrationFileError,
     GalenError,
     IdentificationError,
     NotExcitedError,
+    one_line,
 )
 from galen_model.evidence.block_gain import Worth
 from galen_model.files.calibration_file import (
@@ -24,16 +27,9 @@ from galen_model.files.calibration_file import (
     write_calibration,
     zeroed_at,
 )
-from galen_model.load.drifting_identification import (
-    BiasMode,
-    identify_one_sweep_drifting,
-    identify_two_sweeps_drifting,
-)
-from galen_model.load.identification import (
-    Identification,
-    identify_one_sweep,
-    identify_two_sweeps,
-)
+from galen_model.files.json_fields import LONGEST_SENTENCE
+from galen_model.load.choice import choose_calibration
+from galen_model.load.identification import Identification
 from galen_model.load.mounting.identification import Calibrated, KnownLoad, worth
 from galen_model.load.mounting.mounting import Mounting
 
@@ -90,7 +86,7 @@ def check_writable(path: Path) -> None:
         raise CalibrationFileError(f"{path.parent}: can't be written to")
 
 
-def choose_tip(tip_m: Array, path: Path) -> tuple[Array, list[str]]:
+def choose_tip(tip_m: Array, path: Path, arm: Arm = GALEN) -> tuple[Array, list[str]]:
     """Return the tip (3,) for the new file, m in ft_sensor, and warnings.
 
     `tip_m` itself or, where all of it is NaN, that of the old file at `path`, else (0, 0, 0).
@@ -108,9 +104,9 @@ def choose_tip(tip_m: Array, path: Path) -> tuple[Array, list[str]]:
         )
     nowhere = np.zeros(3)
     if not os.path.exists(path):  # noqa: PTH110 - Path.exists raises where this says no
-        return nowhere, ["the tool's tip is not known: (0, 0, 0) in ft_sensor is written"]
+        return nowhere, [f"the tool's tip is not known: (0, 0, 0) in {arm.sensor_frame} is written"]
     try:
-        return read_calibration(path).tip_m, []
+        return read_calibration(path, arm).tip_m, []
     except CalibrationFileError as error:
         return nowhere, [f"the old file's tip can't be kept, (0, 0, 0) is written: {error}"]
 
@@ -124,17 +120,21 @@ def estimate(
     *,
     calibrated_at: datetime | None = None,
     mounting: MountingRequest | None = None,
+    progress: Callable[[str], None] | None = None,
 ) -> Calibration:
     """Identify the load and put the tool's file together, without writing it.
 
     `warnings` are known from before. `calibrated_at`, with a time zone, is when it was measured,
-    for measurements that come out of a recording; None: now. `mounting`: estimate that as well.
+    for measurements that come out of a recording; None: now. `mounting`: estimate that as well,
+    with a constant bias. `progress`: told what is compared; what it raises ends the comparison.
     Raises EstimateError.
     """
     gain: Worth | None = None
     try:
         if mounting is None:
-            found = _identify(measurements)
+            zero = measurements.zero_angles
+            found = choose_calibration(measurements.bare, measurements.tool, zero, progress)
+            warnings = [*warnings, *_turned(found.mounting)]
         else:
             measured = _with_mounting(measurements, mounting)
             found = measured.identify()
@@ -143,6 +143,7 @@ def estimate(
         raise EstimateError(CalibrationCode.NOT_EXCITED, str(error)) from error
     except IdentificationError as error:
         raise EstimateError(CalibrationCode.IMPLAUSIBLE, str(error)) from error
+    arm = measurements.tool.arm
     content = CalibrationFile(
         tool=tool,
         load=found.load,
@@ -152,10 +153,14 @@ def estimate(
         poses_used=int(np.sum(found.used_tool)),
         calibrated_at=(calibrated_at or datetime.now(UTC)).isoformat(timespec="seconds"),
         residual_offset=found.offset,
-        zeroing=zeroed_at(measurements.zero_angles),
+        gravity_m_s2=arm.gravity_m_s2,
+        arm=arm,
+        zeroing=zeroed_at(measurements.zero_angles, arm),
         poses_rejected=(*measurements.rejected, *_outliers(found, measurements)),
         unresolved=found.unresolved,
         mounting=found.mounting,
+        model=one_line(found.model, LONGEST_SENTENCE),
+        model_reason=one_line(found.reason, LONGEST_SENTENCE),
     )
     said = [*warnings, *measurements.warnings, *found.warnings, *_dropped(path, content)]
     if gain is not None and not gain.pays:
@@ -174,7 +179,7 @@ _FOUND_BY = {
 def _dropped(path: Path, content: CalibrationFile) -> list[str]:
     """Say which parts of the old file the new one does not have: they belong to the old load."""
     try:
-        old = read_calibration(path)
+        old = read_calibration(path, content.arm)
     except CalibrationFileError:
         return []
     lost = [part for part in old.parts if part not in content.parts]
@@ -184,16 +189,16 @@ def _dropped(path: Path, content: CalibrationFile) -> list[str]:
     return [f"the old file's {again} belongs to its load and is not in the new file: find it again"]
 
 
-def _identify(measurements: Measurements) -> Identification:
-    zero = measurements.zero_angles
-    mode, bare, tool = measurements.bias_mode, measurements.bare, measurements.tool
-    if mode is not BiasMode.CONSTANT:
-        if bare is None:
-            return identify_one_sweep_drifting(tool, zero, mode)
-        return identify_two_sweeps_drifting(bare, tool, zero, mode)
-    if bare is None:
-        return identify_one_sweep(tool, zero)
-    return identify_two_sweeps(bare, tool, zero)
+def _turned(mounting: Mounting | None) -> list[str]:
+    """Warn of a rotation that was chosen and not asked for: it turns a push's reading, too."""
+    if mounting is None or not np.any(mounting.sensor_rotvec_rad):
+        return []
+    x, y, z = np.degrees(mounting.sensor_rotvec_rad)
+    return [
+        f"the sensor is taken as turned in its mount by ({x:.2f}, {y:.2f}, {z:.2f}) deg about x, y,"
+        " z, and a push's reading is turned back: wrong where a joint's zero or the base is the"
+        " cause; check with a push of known direction"
+    ]
 
 
 def _with_mounting(measurements: Measurements, request: MountingRequest) -> Calibrated:
@@ -235,6 +240,8 @@ def calibration_fields(calibration: Calibration) -> dict[str, Any]:
         "poses_used": file.poses_used,
         "poses_rejected": list(file.poses_rejected),
         "warnings": list(calibration.warnings),
+        "model": file.model,
+        "model_reason": file.model_reason,
     }
 
 
@@ -244,7 +251,7 @@ def format_result(result: Any) -> str:
     One standard deviation after +-. Without a `file` nothing was written.
     """
     lines = [
-        f"{'':18}{'mass [g]':>18}   centre x, y, z in ft_sensor [mm]",
+        f"{'':18}{'mass [g]':>18}   centre x, y, z in the sensor [mm]",
         _load_line(result.tool, result.mass_kg, result.mass_std_kg, result.com_m, result.com_std_m),
         _load_line(
             "adapter",
@@ -260,6 +267,8 @@ def format_result(result: Any) -> str:
         f"poses rejected     {len(result.poses_rejected):10d}",
     ]
     lines += [f"  {text}" for text in result.poses_rejected]
+    if result.model:
+        lines.append(f"model: {result.model} - {result.model_reason}")
     lines += [f"warning: {text}" for text in result.warnings]
     lines.append(f"written: {result.file}" if result.file else "nothing is written")
     return "\n".join(lines)
@@ -273,10 +282,15 @@ def _load_line(name: str, mass: float, mass_std: float, com: Any, com_std: Any) 
 
 
 def mounting_fields(calibration: Calibration) -> dict[str, Any] | None:
-    """Return what the file holds of the mounting and how it did on held-out poses; SI units."""
+    """Return what the file holds of the mounting; SI units.
+
+    Where it was asked for, also how it did on held-out poses.
+    """
     mounting, worth = calibration.content.mounting, calibration.worth
-    if mounting is None or worth is None:
+    if mounting is None:
         return None
+    if worth is None:
+        return mounting.to_json()
     return mounting.to_json() | {
         "held_out": {
             "blocks": worth.blocks,
@@ -293,11 +307,12 @@ def mounting_fields(calibration: Calibration) -> dict[str, Any] | None:
 
 
 def format_mounting(calibration: Calibration) -> str:
-    """Return the same as tables, in deg, %, mN and mN.m; empty where nothing was asked."""
+    """Return the same as tables, in deg, %, mN and mN.m; empty where there is none."""
     mounting, worth = calibration.content.mounting, calibration.worth
-    if mounting is None or worth is None:
+    if mounting is None:
         return ""
-    return f"\n{_mounting_rows(mounting)}\n\n{_mounting_scores(worth)}\n{worth.sentence}\n"
+    scores = "" if worth is None else f"\n{_mounting_scores(worth)}\n{worth.sentence}\n"
+    return f"\n{_mounting_rows(mounting)}\n{scores}"
 
 
 def _mounting_rows(mounting: Mounting) -> str:

@@ -7,28 +7,32 @@ and for one sweep
 
     HOME -> REMOVE_TOOL -> ZERO -> ATTACH_TOOL -> SWEEP_TOOL -> HOME -> ESTIMATE
 
-The sensor is zeroed at home with the adapter on and no tool in both. A cancel, an error and time
+The sensor is zeroed at home with the adapter on and no tool in both. Home of an arm that has none
+is where it stands as the goal begins, and its poses are planned then. A cancel, an error and time
 are as in `galen_ros.goal.procedure`; waiting for a person goes by the wall clock, too.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from enum import IntEnum
+from typing import ClassVar
 
 import numpy as np
-from galen_model.arm.arm import Arm
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arm.routes import Router
 from galen_model.arrays import Array
-from galen_model.load.identification import StillPoses
+from galen_model.errors import GalenError, NotExcitedError
 from galen_model.rest.segments import PoseRecord
 from galen_ros.goal.arrival import PoseRejection
-from galen_ros.goal.procedure import PoseProcedure
+from galen_ros.goal.procedure import OnRecord, PoseProcedure
+from numpy.typing import ArrayLike
 
-from galen_calibration_behavior.calibration.sweep import Sweep, Verdict, stack
+from galen_calibration_behavior.calibration.sweep import Sweep, Verdict, still_poses
 from galen_calibration_behavior.commands import (
+    WARNING,
     AttachTool,
     CalibrationCode,
     CalibrationState,
@@ -42,64 +46,75 @@ from galen_calibration_behavior.parameters import CalibrationParameters
 # A topic's queue holds no more than this of stamps: 2000 samples at 500 Hz.
 _DEEPEST_QUEUE_S = 4.0
 
-_TWO_SWEEPS = (
-    CalibrationState.HOME,
-    CalibrationState.REMOVE_TOOL,
-    CalibrationState.ZERO,
-    CalibrationState.SWEEP_BARE,
-    CalibrationState.HOME,
-    CalibrationState.ATTACH_TOOL,
-    CalibrationState.SWEEP_TOOL,
-    CalibrationState.HOME,
-    CalibrationState.ESTIMATE,
-)
-_ONE_SWEEP = (
-    CalibrationState.HOME,
-    CalibrationState.REMOVE_TOOL,
-    CalibrationState.ZERO,
-    CalibrationState.ATTACH_TOOL,
-    CalibrationState.SWEEP_TOOL,
-    CalibrationState.HOME,
-    CalibrationState.ESTIMATE,
-)
-
 
 @dataclass(frozen=True)
 class CalibrationRequest:
     """What one goal asks for; `poses` (n, k) are angles in rad.
 
-    `router` knows the ways around boxes, None: all are free.
+    poses None: they are planned from where the arm stands, for a tool with its tip at tip_m (3,).
+    `router` knows the free ways, None: all are free. zero: whether the sensor can be
+    zeroed; else what it reads where it stands goes into the constant offsets. warnings: to be told
+    before the arm moves.
     """
 
     tool: str
     one_sweep: bool
     attach_by_service: bool
-    poses: Array
+    poses: Array | None
     router: Router | None = None
+    zero: bool = True
+    tip_m: ArrayLike = (0.0, 0.0, 0.0)
+    warnings: tuple[str, ...] = ()
 
 
 class CalibrationProcedure(PoseProcedure):
     """One calibration. Call `start`, feed samples and events, and do what `take_commands` gives."""
 
     codes = CalibrationCode
+    two_sweeps: ClassVar[tuple[CalibrationState, ...]] = (
+        CalibrationState.HOME,
+        CalibrationState.REMOVE_TOOL,
+        CalibrationState.ZERO,
+        CalibrationState.SWEEP_BARE,
+        CalibrationState.HOME,
+        CalibrationState.ATTACH_TOOL,
+        CalibrationState.SWEEP_TOOL,
+        CalibrationState.HOME,
+        CalibrationState.ESTIMATE,
+    )
+    one_sweep: ClassVar[tuple[CalibrationState, ...]] = (
+        CalibrationState.HOME,
+        CalibrationState.REMOVE_TOOL,
+        CalibrationState.ZERO,
+        CalibrationState.ATTACH_TOOL,
+        CalibrationState.SWEEP_TOOL,
+        CalibrationState.HOME,
+        CalibrationState.ESTIMATE,
+    )
     _settings: CalibrationParameters
     _state: CalibrationState
 
     def __init__(self, settings: CalibrationParameters, request: CalibrationRequest) -> None:
+        states = self.one_sweep if request.one_sweep else self.two_sweeps
         super().__init__(settings, CalibrationState.HOME)
         self._request = request
         self._router = request.router
-        self._plan = iter(_ONE_SWEEP if request.one_sweep else _TWO_SWEEPS)
+        self._plan = iter(states)
         self._sweep: Sweep | None = None
         self._bare: Sweep | None = None
         self._tool: Sweep | None = None
         self._done_before = 0
-        self._planned = len(request.poses) * (1 if request.one_sweep else 2)
+        self._poses = request.poses
+        self._plan_warnings: tuple[str, ...] = ()
+        count = settings.pose_count if request.poses is None else len(request.poses)
+        self._planned = count * (1 if request.one_sweep else 2)
         self._waiting_for_person = False
         self._zero_attempts = 0
         self._zero_checks_left = 0
         self._zero_angles = settings.home_angles
         self._tool_off = False
+        self.temperature_c = math.nan
+        """Newest of the sensor; NaN: none has come."""
 
     @property
     def waiting_for_person(self) -> bool:
@@ -124,7 +139,7 @@ class CalibrationProcedure(PoseProcedure):
         elif self._state == CalibrationState.ZERO:
             one_check_s = self._settings.arrival.settle_s + self._settings.average_s
             self._zero_checks_left = math.ceil(_DEEPEST_QUEUE_S / one_check_s)
-            self._record(self._settings.home, 0.0, self._on_zero_checked)
+            self._record_zero()
         else:
             self._tool_is_changed()
 
@@ -143,6 +158,8 @@ class CalibrationProcedure(PoseProcedure):
 
     def _check_patience(self) -> None:
         super()._check_patience()
+        if self._under_way and self._poses is None:
+            self._plan_from_here()
         if self._waiting_for_person and self._waited_s > self._settings.confirm_timeout_s:
             what = "removed" if self._state == CalibrationState.REMOVE_TOOL else "put on"
             self.fail(
@@ -165,7 +182,36 @@ class CalibrationProcedure(PoseProcedure):
     # ---- states
 
     def _begin(self) -> None:
-        self._next()
+        self._warn(self._request.warnings)
+        if self._poses is not None:
+            self._next()
+            return
+        # On the wall clock's next tick, so that this is told first: it may take seconds.
+        self._report("choosing poses around the present one")
+
+    def _plan_from_here(self) -> None:
+        assert self._joints is not None
+        request = self._request
+        try:
+            self._settings = self._settings.standing_at(self._joints)
+            plan = self._settings.plan(np.asarray(request.tip_m), one_sweep=request.one_sweep)
+        except NotExcitedError as error:
+            self.fail(CalibrationCode.NOT_EXCITED, str(error))
+        except GalenError as error:
+            self.fail(CalibrationCode.BAD_INPUT, str(error))
+        else:
+            self._poses, self._router, self._plan_warnings = plan.poses, plan.router, plan.warnings
+            self._zero_angles = self._settings.home_angles
+            self._warn(plan.warnings)
+            self._next()
+
+    def _warn(self, warnings: Sequence[str]) -> None:
+        """Tell what the operator must know before the arm moves."""
+        for warning in warnings:
+            self._report(f"{WARNING}{warning}")
+
+    def _warnings(self) -> list[str]:
+        return [*super()._warnings(), *self._plan_warnings]
 
     def _next(self) -> None:
         self._state = next(self._plan)
@@ -204,13 +250,23 @@ class CalibrationProcedure(PoseProcedure):
         """Go home again, and stand still: the arm may have been pushed meanwhile."""
         self._zero_attempts += 1
         self._report("zeroing the sensor")
-        self._visit(self._settings.home, self._on_ready_to_zero)
+        self._stand_for_zeroing(self._on_ready_to_zero)
+
+    def _stand_for_zeroing(self, then: OnRecord) -> None:
+        self._visit(self._settings.home, then)
+
+    def _record_zero(self) -> None:
+        """Record what the sensor reads where it was just zeroed."""
+        self._record(self._settings.home, 0.0, self._on_zero_checked)
 
     def _on_ready_to_zero(self, outcome: PoseRecord | PoseRejection) -> None:
         if isinstance(outcome, PoseRejection):
             self._zero_again(outcome)
             return
         self._zero_angles = self._settings.arm.angles(outcome.joints)
+        if not self._request.zero:
+            self._next()
+            return
         self._waited_s = 0.0
         self._waiting_for = "zero_ft_sensor"
         self._commands.append(ZeroSensor())
@@ -223,7 +279,7 @@ class CalibrationProcedure(PoseProcedure):
         if np.any(off) and self._zero_checks_left > 0:
             # Samples from before the zeroing may still have been in the queue.
             self._zero_checks_left -= 1
-            self._record(self._settings.home, 0.0, self._on_zero_checked)
+            self._record_zero()
             return
         if np.any(off):
             values = ", ".join(
@@ -249,8 +305,9 @@ class CalibrationProcedure(PoseProcedure):
             self._enter_zero()
 
     def _enter_sweep(self, name: str) -> None:
+        assert self._poses is not None
         self._sweep = Sweep(
-            name, self._request.poses, self._settings.stillness, self._settings.pose_retries
+            name, self._poses, self._settings.stillness, self._settings.pose_retries
         )
         if name == "bare":
             self._bare = self._sweep
@@ -271,8 +328,7 @@ class CalibrationProcedure(PoseProcedure):
 
     def _on_pose(self, outcome: PoseRecord | PoseRejection) -> None:
         assert self._sweep is not None
-        for verdict in self._sweep.take(outcome):
-            self._report_pose(verdict)
+        self._take_pose(self._sweep, outcome)
         if self._sweep.rejected_in_a_row >= self._settings.max_rejected_in_a_row:
             reason = (
                 outcome.reason if isinstance(outcome, PoseRejection) else "the wrench is not still"
@@ -284,6 +340,12 @@ class CalibrationProcedure(PoseProcedure):
             )
             return
         self._visit_next_pose()
+
+    def _take_pose(self, sweep: Sweep, outcome: PoseRecord | PoseRejection) -> None:
+        if isinstance(outcome, PoseRecord):
+            outcome = replace(outcome, temperature_c=self.temperature_c)
+        for verdict in sweep.take(outcome):
+            self._report_pose(verdict)
 
     def _finish_sweep(self, sweep: Sweep) -> None:
         good, count = len(sweep.records), len(sweep.poses)
@@ -300,11 +362,15 @@ class CalibrationProcedure(PoseProcedure):
 
     def _enter_estimate(self) -> None:
         assert self._tool is not None
-        self._report("estimating")
+        self.needs_arm = False
+        self._report("estimating: comparing models")
+        arm, sweeps = self._settings.arm, [self._bare or self._tool, self._tool]
+        first_ns = min(record.stamp_ns for sweep in sweeps for record in sweep.records)
+        bare, tool = (still_poses(sweep.records, arm, first_ns) for sweep in sweeps)
         self._commands.append(
             Measurements(
-                bare=None if self._bare is None else _still_poses(self._bare, self._settings.arm),
-                tool=_still_poses(self._tool, self._settings.arm),
+                bare=None if self._bare is None else bare,
+                tool=tool,
                 zero_angles=self._zero_angles,
                 bare_indices=[] if self._bare is None else self._bare.indices,
                 tool_indices=self._tool.indices,
@@ -355,7 +421,3 @@ class CalibrationProcedure(PoseProcedure):
 
     def _rejections(self) -> list[str]:
         return [text for sweep in (self._bare, self._tool) if sweep for text in sweep.rejections]
-
-
-def _still_poses(sweep: Sweep, arm: Arm) -> StillPoses:
-    return StillPoses(*stack(sweep.records, arm), arm=arm)

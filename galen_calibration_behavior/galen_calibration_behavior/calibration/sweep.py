@@ -9,8 +9,11 @@ import numpy as np
 from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
+from galen_model.load.identification import StillPoses
 from galen_model.rest.segments import PoseRecord, StillnessSettings, wrench_fault
 from galen_ros.goal.arrival import PoseRejection
+
+_COLDEST_C, _HOTTEST_C = -273.15, 1000.0
 
 
 @dataclass(frozen=True)
@@ -43,6 +46,12 @@ class Sweep:
         self._records: dict[int, PoseRecord] = {}
         self._left_out: dict[int, PoseRejection] = {}
         self.rejected_in_a_row = 0
+
+    def append(self, angles: Array) -> None:
+        """Add a pose (k,), rad, to those to visit."""
+        self._queue.append(len(self.poses))
+        self._visits.append(0)
+        self.poses = np.vstack([self.poses, angles])
 
     @property
     def current(self) -> int | None:
@@ -125,6 +134,22 @@ class Sweep:
         self, index: int, accepted: bool, record: PoseRecord | None, message: str
     ) -> Verdict:
         return Verdict(index, tuple(self.poses[index].tolist()), accepted, record, message)
+
+
+def still_poses(records: Sequence[PoseRecord], arm: Arm, origin_ns: int = 0) -> StillPoses:
+    """Return the records for an identification; times are counted from `origin_ns`.
+
+    Without a temperature that a sensor can have at every pose there is none.
+    """
+    temperature = np.array([r.temperature_c for r in records])
+    plausible = (temperature >= _COLDEST_C) & (temperature <= _HOTTEST_C)
+    return StillPoses(
+        *stack(records, arm),
+        # as whole ns until the difference: floats of today's date are 0.2 us apart
+        time_s=np.array([(r.stamp_ns - origin_ns) * 1e-9 for r in records]),
+        arm=arm,
+        temperature_c=temperature if np.all(plausible) else None,
+    )
 
 
 def stack(records: Sequence[PoseRecord], arm: Arm = GALEN) -> tuple[Array, Array, Array]:

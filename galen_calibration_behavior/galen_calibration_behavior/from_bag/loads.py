@@ -6,10 +6,8 @@ How a recording is read, and when it ended.
 from __future__ import annotations
 
 import argparse
-import functools
 import math
-import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator, Sized
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -19,13 +17,13 @@ from typing import Any, TypeVar
 import numpy as np
 from galen_bags.arrays.arm_recording import ArmRecording, ArmTopics, read_arm
 from galen_model.errors import CalibrationFileError, GalenError
+from galen_model.files.atomic_file import write_whole
 from galen_model.files.calibration_file import (
     age_text,
     calibration_path,
     read_calibration,
 )
 from galen_model.load.mounting.identification import KnownLoad
-from tqdm import tqdm
 
 from galen_calibration_behavior.calibration.estimate import (
     Calibration,
@@ -42,6 +40,7 @@ from galen_calibration_behavior.calibration.estimate import (
 from galen_calibration_behavior.commands import CalibrationCode
 from galen_calibration_behavior.from_bag.sweeps import RecordedSweeps, SweepSorter
 from galen_calibration_behavior.from_bag.visits import Visits, find_visits
+from galen_ros import command
 
 T = TypeVar("T")
 
@@ -50,10 +49,21 @@ _EARLIEST_DATE = datetime(2000, 1, 1, tzinfo=UTC)
 
 
 def read_recording(options: argparse.Namespace, bag: str) -> ArmRecording:
-    """Read a bag with the options' names of topics and joints; raises GalenError."""
-    return read_arm(
-        bag, ArmTopics(options.joint_states, options.wrench_raw, tuple(options.joint_names))
+    """Read a bag with the options' names of topics and joints; raises GalenError.
+
+    A sensor frame that the options name is taken as that of wrenches with one other `frame_id`.
+    """
+    topics = ArmTopics(options.joint_states, options.wrench_raw, tuple(options.joint_names))
+    arm = options.parameters.arm
+    recording = read_arm(bag, topics, arm, progress(f"reading {Path(bag).name}", "block"))
+    frames = recording.frame_ids
+    if not options.sensor_frame or len(frames) > 1 or frames[0] == arm.sensor_frame:
+        return recording
+    odd = (
+        f"{recording.topics[1]} has frame_id {frames[0]!r}; its wrenches are taken as written in"
+        f" {arm.sensor_frame!r} (--sensor-frame)"
     )
+    return replace(recording, frame_ids=(arm.sensor_frame,), problems=(*recording.problems, odd))
 
 
 def sample_time(stamp_ns: int, log_ns: int) -> datetime:
@@ -71,7 +81,7 @@ def check_not_newer(options: argparse.Namespace, path: Path, recorded: datetime)
     if options.dry_run or options.replace_newer:
         return
     try:
-        held = read_calibration(path).calibrated_at
+        held = read_calibration(path, options.parameters.arm).calibrated_at
     except CalibrationFileError:
         return
     ended = recorded.isoformat(timespec="seconds")  # as precise as the file's
@@ -82,9 +92,17 @@ def check_not_newer(options: argparse.Namespace, path: Path, recorded: datetime)
         )
 
 
-def progress(what: str, unit: str, work: list[T]) -> Iterable[T]:
+def progress(what: str, unit: str) -> Callable[[Iterable[T]], Iterator[T]]:
     """Wrap work in a bar on standard error, where that is a terminal; it leaves no trace."""
-    return tqdm(work, desc=what, unit=unit, file=sys.stderr, disable=None, leave=False)
+
+    def work(parts: Iterable[T]) -> Iterator[T]:
+        total = len(parts) if isinstance(parts, Sized) else None
+        with command.progress(total, unit, what) as bar:
+            for part in parts:
+                yield part
+                bar.update()
+
+    return work
 
 
 def estimate_loads(options: argparse.Namespace) -> dict[str, Any]:
@@ -96,9 +114,9 @@ def estimate_loads(options: argparse.Namespace) -> dict[str, Any]:
     fields = _result_fields(options, sweeps, calibration)
     if not options.json:
         print(f"{_format_sweeps(sweeps)}\n{format_mounting(calibration)}")
-        if fields["bias"] is not None:
-            print(f"bias of the sensor, as held-out poses choose it: {fields['bias']}\n")
         print(format_result(SimpleNamespace(**fields)))
+        if fields["page"]:
+            print(f"written: {fields['page']}")
     return fields
 
 
@@ -123,15 +141,24 @@ def _find_sweeps(options: argparse.Namespace) -> RecordedSweeps:
         return find_visits(
             read_recording(options, bag),
             settings,
-            progress=functools.partial(progress, Path(bag).name, "phase"),
+            progress=progress(f"averaging {Path(bag).name}", "rest segment"),
         )
 
+    given = [options.bare, options.with_tool] if options.bag is None else [options.bag]
+    recorded = [visits(bag) for bag in given]
+    if not settings.has_home and recorded[0].visits:
+        # A live calibration zeroes where it begins; what was not zeroed is in the offsets.
+        settings = replace(settings, present=recorded[0].visits[0].joints)
     sorter = SweepSorter(settings, settings.home_angles)
-    if options.bag is None:
-        return sorter.two_recordings(visits(options.bare), visits(options.with_tool))
-    if options.one_sweep:
-        return sorter.one_sweep(visits(options.bag))
-    return sorter.two_sweeps(visits(options.bag), options.tool_on_at_s)
+    try:
+        if options.bag is None:
+            return sorter.two_recordings(*recorded)
+        if options.one_sweep:
+            return sorter.one_sweep(recorded[0])
+        return sorter.two_sweeps(recorded[0], options.tool_on_at_s)
+    except GalenError as error:  # of a recording that was cut off that is the reason
+        odd = [text for one in recorded for text in one.recording.problems]
+        raise GalenError("; ".join([str(error), *odd])) from error
 
 
 def _run(options: argparse.Namespace) -> tuple[RecordedSweeps, Calibration]:
@@ -139,7 +166,8 @@ def _run(options: argparse.Namespace) -> tuple[RecordedSweeps, Calibration]:
     path = calibration_path(options.tools_dir, options.tool)
     if not options.dry_run:
         check_writable(path)
-    tip, warnings = choose_tip(np.array(options.tip or [math.nan] * 3), path)
+    arm = options.parameters.arm
+    tip, warnings = choose_tip(np.array(options.tip or [math.nan] * 3), path, arm)
     sweeps = _find_sweeps(options)
     recorded = sample_time(sweeps.last.window_ns[1], sweeps.last.log_ns)
     check_not_newer(options, path, recorded)
@@ -147,13 +175,18 @@ def _run(options: argparse.Namespace) -> tuple[RecordedSweeps, Calibration]:
         path,
         options.tool,
         tip,
-        replace(sweeps.measurements, bias_mode=options.bias),
+        sweeps.measurements,
         warnings,
         calibrated_at=recorded,
         mounting=_mounting_request(options),
     )
     if not options.dry_run:
         calibration.write()
+        from galen_calibration_behavior.from_bag.page import calibration_page  # slow to import
+
+        page = path.with_suffix(".html")
+        with command.writing(page):
+            write_whole(page, calibration_page(sweeps, calibration, options.parameters))
     return sweeps, calibration
 
 
@@ -167,11 +200,9 @@ def _result_fields(
         "error_msg": "",
         "tool": options.tool,
         "file": "" if options.dry_run else str(calibration.path),
+        "page": "" if options.dry_run else str(calibration.path.with_suffix(".html")),
     } | calibration_fields(calibration)
-    bias_drift = calibration.found.bias_drift
     return fields | {
-        "bias": None if bias_drift is None else str(bias_drift.choice),
-        "bias_mass_growth": None if bias_drift is None else bias_drift.mass_growth,
         "calibrated_at": calibration.content.calibrated_at,
         "tool_on_s": sweeps.tool_on_s,
         "next_border_worse_sigmas": None if border is None else border.next_worse,

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from galen_bags.arrays.arm_recording import ArmRecording
-from galen_model.arm.galen import GRAVITY_M_S2, WRENCH_AXES
+from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import (
@@ -72,7 +71,7 @@ def add_part(options: argparse.Namespace) -> dict[str, Any]:
     Raises GalenError; the file is then untouched.
     """
     path = calibration_path(options.tools_dir, options.tool)
-    tool = read_calibration(path)
+    tool = read_calibration(path, options.parameters.arm)
     if not options.dry_run:
         check_writable(path)
     recording = read_recording(options, options.bag)
@@ -80,8 +79,9 @@ def add_part(options: argparse.Namespace) -> dict[str, Any]:
     check_not_newer(options, path, recorded)
     if not np.isfinite(recording.joints).any(axis=0).all():
         raise GalenError(
-            f"{options.bag}: {options.joint_states} lacks the platform's position: of"
-            f" {' '.join(options.joint_names)} all five are needed (--joint-names)"
+            f"{options.bag}: {options.joint_states} lacks some of"
+            f" {' '.join(options.joint_names or options.parameters.arm.joint_names)}: all are"
+            " needed (--joint-names)"
         )
     find = {"inertia": _inertia, "cable": _cable}["".join(options.estimate)]
     try:
@@ -106,7 +106,7 @@ def add_part(options: argparse.Namespace) -> dict[str, Any]:
 def remove_cable(options: argparse.Namespace) -> dict[str, Any]:
     """Remove the cable from the tool's file; raises GalenError where there is none."""
     path = calibration_path(options.tools_dir, options.tool)
-    tool = read_calibration(path)
+    tool = read_calibration(path, options.parameters.arm)
     if tool.cable is None:
         raise GalenError(f"{path}: holds no cable")
     if not options.dry_run:
@@ -140,9 +140,10 @@ def _inertia(tool: CalibrationFile, recording: ArmRecording, options: argparse.N
         recording.wrench_stamp_ns,
         recording.wrenches,
         tool.mounting,
+        arm=tool.arm,
     )
     # Another place's gravity, as the file has it.
-    scale = tool.gravity_m_s2[2] / GRAVITY_M_S2[2]
+    scale = np.linalg.norm(tool.gravity_m_s2) / np.linalg.norm(tool.arm.gravity_m_s2)
     record = replace(record, gravity=record.gravity * scale)
     moments, covariance = total_moments(tool)
     fit = identify_inertia(record, moments, covariance)
@@ -153,7 +154,7 @@ def _inertia(tool: CalibrationFile, recording: ArmRecording, options: argparse.N
         "points at the centres": points,
     }
     table = _table(
-        f"Inertia of {options.tool} and adapter about ft_sensor, 1e-6 kg m^2",
+        f"Inertia of {options.tool} and adapter about {tool.sensor_frame}, 1e-6 kg m^2",
         INERTIA_NAMES,
         {name: [f"{1e6 * value:.1f}" for value in values] for name, values in rows.items()},
     )
@@ -204,8 +205,9 @@ def _cable(tool: CalibrationFile, recording: ArmRecording, options: argparse.Nam
     """
     sweep, when, warnings = _cable_sweep(tool, recording, options)
     warnings += check_same_tool(tool, sweep)
-    learned = learn_cable(sweep, when, progress=functools.partial(progress, "learning", "fit"))
-    if np.ptp(sweep.joints[:, :3], axis=0).max() < _PLACE_M:
+    learned = learn_cable(sweep, when, progress=progress("learning", "fit"))
+    sliding = [k for k in range(len(tool.arm.joints)) if k not in tool.arm.turning]
+    if sliding and np.ptp(sweep.joints[:, sliding], axis=0).max() < _PLACE_M:
         warnings.append(
             "all poses have one place of the platform: the pull is subtracted whole up to"
             f" {0.6 * SUPPORT_M:.2g} m from it, and less and less beyond"
@@ -220,8 +222,7 @@ def _cable_sweep(
 ) -> tuple[CableSweep, str, list[str]]:
     """Return the poses of the recorded sweep, the time of the last one, and warnings."""
     settings = options.parameters
-    averaging = functools.partial(progress, "averaging", "phase")
-    visits = find_visits(recording, settings, averaging)
+    visits = find_visits(recording, settings, progress("averaging", "rest segment"))
     poses, warnings = SweepSorter(settings, tool.zero_angles).still_poses(visits)
     warnings += [f"pose {p.number} at {p.time_s:.1f} s: {p.fault}" for p in poses if p.fault]
     used = [pose.visit for pose in poses if not pose.fault]
@@ -233,10 +234,11 @@ def _cable_sweep(
         wrench=wrench - tool.predict(settings.arm.angles(joints)),
         std_of_mean=np.array([record.std_of_mean for record in records]),
         noise=np.median([record.wrench_std for record in records], axis=0),
+        arm=tool.arm,
     )
     if len(sweep) > MAX_POSES:
         warnings.append(f"of {len(sweep)} poses the {MAX_POSES} that lie farthest apart are used")
-        sweep = sweep.part(spread_out(sweep.joints, MAX_POSES))
+        sweep = sweep.part(spread_out(sweep.joints, MAX_POSES, tool.arm))
     when = sample_time(used[-1].window_ns[1], used[-1].log_ns).isoformat(timespec="seconds")
     return sweep, when, warnings
 
@@ -281,7 +283,7 @@ def _cable_shown(name: str, sweep: CableSweep, learned: LearnedCable) -> list[st
     ]
     if drag.form != "free":
         at = " ".join(f"{1e3 * value:.0f}" for value in drag.attachment_m)
-        shown.append(f"It pulls at ({at}) mm in ft_sensor")
+        shown.append(f"It pulls at ({at}) mm in {sweep.arm.sensor_frame}")
     return shown
 
 

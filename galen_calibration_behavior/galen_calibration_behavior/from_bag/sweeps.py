@@ -12,11 +12,10 @@ them, and stay in inside of it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 
 import numpy as np
-from galen_model.arm.arm import Arm
 from galen_model.arrays import Array
 from galen_model.errors import GalenError, IdentificationError
 from galen_model.load.identification import MIN_POSES, StillPoses
@@ -24,7 +23,7 @@ from galen_model.rest.segments import PoseRecord, wrench_fault
 from galen_ros.goal.arrival import NS, PoseRejection
 from numpy.typing import ArrayLike
 
-from galen_calibration_behavior.calibration.sweep import stack
+from galen_calibration_behavior.calibration.sweep import stack, still_poses
 from galen_calibration_behavior.commands import Measurements
 from galen_calibration_behavior.from_bag.tool_border import Border, find_border
 from galen_calibration_behavior.from_bag.visits import Visit, Visits
@@ -115,10 +114,12 @@ class RecordedSweeps:
     `poses` holds every visit of both sweeps in order; those without a fault are the rows of
     `measurements`, in this order. `border` is set where it was looked for, `tool_on_s` where one
     recording holds both sweeps: end of the last average without the tool, begin of the first with.
+    `recordings`: the one of both sweeps or of the tool's, or one of each.
     """
 
     measurements: Measurements
     poses: list[RecordedPose]
+    recordings: tuple[Visits, ...]
     border: Border | None = None
     tool_on_s: tuple[float, float] | None = None
 
@@ -162,11 +163,12 @@ class SweepSorter:
             self._one_load_sweep("bare", recording, bare),
             self._one_load_sweep("tool", recording, tool),
             [*recording.warnings, *warnings],
+            recording,
         )
         without = max(p.visit.window_ns[1] for p in done.poses if p.sweep == "bare" and not p.fault)
         with_it = min(p.visit.window_ns[0] for p in done.poses if p.sweep == "tool" and not p.fault)
         tool_on_s = (recording.time_s(without), recording.time_s(with_it))
-        return RecordedSweeps(done.measurements, done.poses, border, tool_on_s)
+        return replace(done, border=border, tool_on_s=tool_on_s)
 
     def two_recordings(self, bare: Visits, tool: Visits) -> RecordedSweeps:
         """Return a recording of each sweep; raises GalenError."""
@@ -175,13 +177,13 @@ class SweepSorter:
             visits, lost = self._home.after_zeroing(recording)
             parts.append(self._one_load_sweep(name, recording, visits))
             warnings += [*recording.warnings, *lost]
-        return self._put_together(parts[0], parts[1], warnings)
+        return self._put_together(parts[0], parts[1], warnings, bare, tool)
 
     def one_sweep(self, recording: Visits) -> RecordedSweeps:
         """Return a recording of the tool's sweep alone; raises GalenError."""
         visits, lost = self._home.after_zeroing(recording)
         poses = self._one_load_sweep("tool", recording, visits)
-        return self._put_together([], poses, [*recording.warnings, *lost])
+        return self._put_together([], poses, [*recording.warnings, *lost], recording)
 
     def still_poses(self, recording: Visits) -> tuple[list[RecordedPose], list[str]]:
         """Return the poses of a sweep of one tool, and warnings; raises GalenError.
@@ -207,8 +209,12 @@ class SweepSorter:
         try:
             border = self._border(visits, good)
         except IdentificationError as error:
-            faults = "".join(f"; {text}" for text in [*self._faults(visits).values()][-1:])
-            raise GalenError(f"{recording.path}: {error}{faults}") from error
+            faults = [*self._faults(visits).values()]
+            home = len(recording.visits) - len(visits)
+            counts = f"rest segments: {len(recording.visits)} in all, {home} where it was zeroed"
+            if faults:
+                counts += f", {len(faults)} rejected, the last: {faults[-1]}"
+            raise GalenError(f"{recording.path}: {error} ({counts})") from error
         if not border.changes:
             raise GalenError(
                 f"{recording.path}: one load explains all {len(good)} still poses, and two don't do"
@@ -303,18 +309,23 @@ class SweepSorter:
         bare: list[RecordedPose],
         tool: list[RecordedPose],
         warnings: list[str],
+        *recordings: Visits,
     ) -> RecordedSweeps:
         good_bare, good_tool = ([p for p in poses if not p.fault] for poses in (bare, tool))
         measurements = Measurements(
-            bare=_still_poses(good_bare, self._settings.arm) if bare else None,
-            tool=_still_poses(good_tool, self._settings.arm),
+            bare=self._still_poses(good_bare, recordings[0]) if bare else None,
+            tool=self._still_poses(good_tool, recordings[-1]),
             zero_angles=self._zero_angles,
             bare_indices=[pose.number for pose in good_bare],
             tool_indices=[pose.number for pose in good_tool],
             rejected=[*_left_out(bare), *_left_out(tool)],
             warnings=warnings,
         )
-        return RecordedSweeps(measurements, [*bare, *tool])
+        return RecordedSweeps(measurements, [*bare, *tool], recordings)
+
+    def _still_poses(self, poses: list[RecordedPose], recording: Visits) -> StillPoses:
+        records = [_record(pose.visit) for pose in poses]
+        return still_poses(records, self._settings.arm, recording.origin_ns)
 
 
 def _record(visit: Visit) -> PoseRecord:
@@ -332,12 +343,6 @@ def _left_out(poses: list[RecordedPose]) -> list[str]:
     recorded = _recorded(poses)
     faults = {p.number: f"{p.sweep}/{p.number}: {p.fault}" for p in poses}
     return [text for number, text in sorted(faults.items()) if number not in recorded]
-
-
-def _still_poses(poses: list[RecordedPose], arm: Arm) -> StillPoses:
-    stacked = stack([_record(pose.visit) for pose in poses], arm)
-    time_s = np.array([pose.time_s for pose in poses])
-    return StillPoses(*stacked, time_s, arm)
 
 
 def _span(recording: Visits, visits: list[Visit]) -> str:

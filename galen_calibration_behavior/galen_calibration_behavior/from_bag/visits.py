@@ -60,13 +60,23 @@ class Visit:
 class Visits:
     """A recording's visits in order, and what is odd.
 
-    `origin_ns` is the first joint state's stamp, from which times are told.
+    `short_ns` (k, 2): begins and ends of the rest segments that are too short for an average.
     """
 
-    path: Path
-    origin_ns: int
+    recording: ArmRecording
     visits: list[Visit]
     warnings: list[str]
+    short_ns: np.ndarray
+
+    @property
+    def path(self) -> Path:
+        """The recording's."""
+        return self.recording.path
+
+    @property
+    def origin_ns(self) -> int:
+        """Stamp of the first joint state, from which times are told."""
+        return int(self.recording.joint_stamp_ns[0])
 
     def time_s(self, stamp_ns: int) -> float:
         """Seconds from the recording's begin."""
@@ -94,23 +104,45 @@ def find_visits(
         min_duration_s=0.0,
         max_stamp_step_s=settings.arrival.max_stamp_step_s,
     )
-    phases = rest_by_joints(recording.joint_stamp_ns, recording.joints, still)
+    phases = rest_by_joints(recording.joint_stamp_ns, recording.joints, still, settings.arm)
     player = _Player(recording, settings)
-    visits, before = [], 0
+    visits, short, before = [], [], 0
     for number, rows in enumerate(progress(phases)):
         after = phases[number + 1].start if number + 1 < len(phases) else None
         visit = player.visit(rows, before, after)
         before = rows.stop
         if visit is not None:
             visits.append(visit)
+        else:
+            short.append(recording.joint_stamp_ns[[rows.start, rows.stop - 1]])
+    short_ns = np.array(short, dtype=np.int64).reshape(-1, 2)
     if not visits:
         needed_s = settings.arrival.settle_s + settings.average_s
+        longest_s = float(np.max(np.diff(short_ns), initial=0)) / NS
         raise GalenError(
             f"{recording.path}: the arm never stands still for the {needed_s:g} s that settling and"
-            f" averaging take ({len(phases)} shorter stops)"
+            f" averaging take ({len(phases)} shorter stops, the longest {longest_s:.2f} s): hold"
+            " each pose for longer, or give -p average_s:=SECONDS and -p settle_s:=SECONDS"
         )
-    origin_ns = int(recording.joint_stamp_ns[0])
-    return Visits(recording.path, origin_ns, visits, warnings)
+    return Visits(recording, _with_temperature(visits, recording), warnings, short_ns)
+
+
+def _with_temperature(visits: list[Visit], recording: ArmRecording) -> list[Visit]:
+    """Give each average the temperature at its middle, by interpolation, where there is one."""
+    stamps = recording.temperature_stamp_ns
+    joints = recording.joint_stamp_ns
+    if not len(stamps) or stamps[-1] < joints.min() or stamps[0] > joints.max():
+        return visits
+    warm = []
+    for visit in visits:
+        outcome = visit.outcome
+        if isinstance(outcome, PoseRecord):
+            # Differences: a date in ns is too long for a float.
+            since = (stamps - outcome.stamp_ns).astype(float)
+            celsius = float(np.interp(0.0, since, recording.temperature_c))
+            outcome = replace(outcome, temperature_c=celsius)
+        warm.append(replace(visit, outcome=outcome))
+    return warm
 
 
 class _Player:
@@ -220,7 +252,8 @@ def _check_frames(recording: ArmRecording, settings: CalibrationParameters) -> N
     if wrong:
         raise GalenError(
             f"{recording.path}: wrench_raw has frame_id {wrong[0]!r};"
-            f" it must be {settings.arm.sensor_frame!r}"
+            f" it must be {settings.arm.sensor_frame!r}: --sensor-frame names the frame that the"
+            " wrenches are written in"
         )
     both = (recording.joint_stamp_ns, recording.wrench_stamp_ns)
     apart_ns = max(int(s.min()) for s in both) - min(int(s.max()) for s in both)

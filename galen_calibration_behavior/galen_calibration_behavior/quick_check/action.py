@@ -35,7 +35,7 @@ class CheckAction(ArmAction):
 
     def __init__(self, node: GoalNode) -> None:
         super().__init__(node)
-        self._store = CalibrationStore(Path(node.settings.tools_dir).expanduser())
+        self._store = CalibrationStore(Path(node.settings.tools_dir).expanduser(), node.arm)
         self._active: ActiveTool | None = None
         node.create_subscription(ActiveTool, "gravcomp/active_tool", self._on_active_tool, LATCHED)
 

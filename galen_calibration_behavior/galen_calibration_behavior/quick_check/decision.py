@@ -36,7 +36,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_isf, chi2_sf, noncentral_chi2_sf, normal_ppf
 from galen_model.evidence import columns
@@ -202,7 +201,7 @@ def _causes(angles: Array, tool: CalibrationFile) -> dict[str, Array]:
 FEWEST_POSES = 4
 # Standard deviations after the default grid, over those after as many ideal poses.
 _GRID_INFLATION = 4.0
-_ANYWHERE = workspace(13)
+_STEPS = 13
 # What no load and no offset explains is the cause, not a remark, where it is so unlikely ...
 _UNEXPLAINED = 1e-3
 # ... and so large a part of the load that would be told besides (as in
@@ -228,7 +227,8 @@ def quick_check(
     explained: tuple[Explanation, ...] = ()
     if found.rest_p < _UNEXPLAINED:
         angles, residual, sigma = _readings(records, tool, taken_off)
-        explained = explain_rest(angles, residual, sigma, tool, _ANYWHERE, _UNEXPLAINED)
+        anywhere = workspace(_STEPS, tool.arm)
+        explained = explain_rest(angles, residual, sigma, tool, anywhere, _UNEXPLAINED)
     hints = tuple(one.name for one in explained)
     cause = _decide(found, limits, explained)
     if cause is Cause.UNEXPLAINED:
@@ -274,7 +274,7 @@ def differences(
         np.diag(sigma**2) / count + by_file[4:, 4:] + mean_rows @ by_file[:4, :4] @ mean_rows.T
     )
     told = load_p < limits.false_alarm
-    everywhere = load_and_offset(_ANYWHERE, tool)
+    everywhere = load_and_offset(workspace(_STEPS, tool.arm), tool)
     both = fit_covariance + by_file
     variance = np.sum((everywhere @ both) * everywhere, axis=2)
     return Differences(
@@ -339,7 +339,7 @@ def _which_load(
     others: Mapping[str, CalibrationFile],
 ) -> tuple[Cause, tuple[str, ...]]:
     """Another tool whose file fits within the limits, or no tool at all."""
-    everywhere = load_and_offset(_ANYWHERE, tool)[:, :, :4]
+    everywhere = load_and_offset(workspace(_STEPS, tool.arm), tool)[:, :, :4]
     own = tool.load.load.moments
 
     def fits(moments: Array) -> bool:
@@ -366,7 +366,7 @@ def _one_that_stands_out(
     best = int(np.argmax(p_values))
     if p_values[best] < limits.false_alarm:
         return None
-    angles = zip(GALEN.turning_names, GALEN.angles(records[best].joints), strict=True)
+    angles = zip(tool.arm.turning_names, tool.arm.angles(records[best].joints), strict=True)
     return f"that at {', '.join(f'{name} {angle:.2f}' for name, angle in angles)} rad"
 
 
@@ -374,7 +374,7 @@ def _readings(
     records: Sequence[PoseRecord], tool: CalibrationFile, known_offset: Array
 ) -> tuple[Array, Array, Array]:
     """Angles (n, k), rad, residual (n, 6) in ft_sensor, a mean's noise sigma (6,)."""
-    angles, wrench, std_of_mean = stack(list(records))
+    angles, wrench, std_of_mean = stack(list(records), tool.arm)
     expected = tool.predict(angles)
     unknown = np.zeros(6)
     if tool.cable is not None:
@@ -411,7 +411,7 @@ def _file_covariance(tool: CalibrationFile) -> Array:
 
 
 def _load_information(records: Sequence[PoseRecord], tool: CalibrationFile, sigma: Array) -> Array:
-    regressor = load_and_offset(stack(list(records))[0], tool)[:, :, :4]
+    regressor = load_and_offset(stack(list(records), tool.arm)[0], tool)[:, :, :4]
     free = (regressor - regressor.mean(axis=0)) / sigma[:, None]
     rows = free.reshape(-1, 4)
     covariance = np.linalg.inv(rows.T @ rows) + _file_covariance(tool)[:4, :4]

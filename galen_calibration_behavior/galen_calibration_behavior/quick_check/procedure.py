@@ -4,10 +4,11 @@
 
 A cancel, an error and time are as in `galen_ros.goal.procedure`; the arm then stays where it stops.
 
-The poses are those of a small grid around the present one that make the compensation's error,
-mean over the arm's range, best known (`galen_model.poses.design`, goal "compensation"): just what
-the check has to judge. They are visited in the order that is shortest and on which a drift does
-not look like a load (`order_poses`). Around boxes the arm goes within that grid, too.
+The poses are those of a small grid around the present one, or of an arm of more than two revolute
+joints of a small box (`galen_model.poses.plan`), that make the compensation's error, mean over the
+arm's range, best known (`galen_model.poses.design`): just what the check has to judge. They are
+visited in the order that is shortest and on which a drift does not look like a load
+(`order_poses`). Around boxes the arm goes within that grid, too.
 """
 
 from __future__ import annotations
@@ -38,6 +39,8 @@ from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_calibration_behavior.quick_check.decision import FEWEST_POSES, QuickCheck, quick_check
 
 _GRID_STEPS = 5
+# Of the best information: enough to see a change, for a smaller motion than a calibration's.
+_GOOD_SHARE = 1.0 / 3.0
 
 
 class CheckProcedure(PoseProcedure):
@@ -68,6 +71,7 @@ class CheckProcedure(PoseProcedure):
         self._before = settings.arm.home
         self._sweep: Sweep | None = None
         self._check: QuickCheck | None = None
+        self._plan_warnings: tuple[str, ...] = ()
 
     @property
     def progress(self) -> tuple[int, int]:
@@ -80,10 +84,9 @@ class CheckProcedure(PoseProcedure):
             self.fail(CheckCode.BAD_INPUT, "joint_states holds values that are not finite")
             return
         settings = self._settings
-        # An arm that stands at a limit may read a little beyond it, where none may be sent.
-        inside = np.clip(self._joints, settings.arm.lower, settings.arm.upper)
-        near = np.abs(self._joints - inside) <= settings.arrival.position_tolerance
-        self._before = np.where(near, inside, self._joints)
+        present = settings.standing_at(self._joints).present
+        assert present is not None
+        self._before = present
         stay_s = settings.arrival.velocity_window_s + settings.arrival.settle_s + settings.average_s
         times = SweepTimes(
             settings.arm.angles(self._before),
@@ -104,7 +107,7 @@ class CheckProcedure(PoseProcedure):
         except GalenError as error:
             self.fail(CheckCode.BAD_INPUT, str(error))
             return
-        self._router = plan.router
+        self._router, self._plan_warnings = plan.router, plan.warnings
         self._sweep = Sweep("check", plan.poses, settings.stillness, settings.pose_retries)
         self._report(f"{len(plan.poses)} poses: keep off the tool")
         self._visit_next()
@@ -149,7 +152,7 @@ class CheckProcedure(PoseProcedure):
             message,
             check=self._check if code == CheckCode.NONE else None,
             rejected=tuple(self._sweep.rejections) if self._sweep else (),
-            warnings=tuple(self._warnings()),
+            warnings=(*self._warnings(), *self._plan_warnings),
         )
 
     # ---- reports
@@ -194,15 +197,9 @@ def plan_check(
             "the tool's file has its tip at (0, 0, 0): it was not given, and what the tool"
             " would hit is not known; calibrate with --tip, or write tip_m"
         )
-    low, high = arm.angles(arm.lower), arm.angles(arm.upper)
-    reach = np.minimum(reach_rad, (high - low) / 2.0)
-    centre = np.clip(arm.angles(here), low + reach, high - reach)
-    where = SweepRange(
-        home=here,
-        lower=tuple((centre - reach).tolist()),
-        upper=tuple((centre + reach).tolist()),
-        steps=(_GRID_STEPS,) * len(arm.turning),
-        name="the present pose",
-        arm=arm,
+    steps = (_GRID_STEPS,) * len(arm.turning)
+    remedy = f"enlarge check_reach_rad ({reach_rad:g} rad), or start from another pose"
+    where = SweepRange.around(
+        here, reach_rad, arm, steps=steps, remedy=remedy, good_share=_GOOD_SHARE
     )
     return plan_chosen(count, where, surroundings, tip_m, times)

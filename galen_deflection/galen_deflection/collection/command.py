@@ -9,7 +9,6 @@ import sys
 from typing import Any
 
 import numpy as np
-from galen_model.arm.galen import GALEN
 from galen_ros.command import EXIT_OK, finite, make_parser, own_arguments, whole
 from galen_ros.goal.client import (
     GoalClient,
@@ -93,7 +92,7 @@ def parse(arguments: list[str]) -> argparse.Namespace:
         type=finite,
         default=[],
         metavar="JOINT",
-        help="the arm's joints of one position after the other, m and rad",
+        help="joints of one position after the other, m and rad; the node knows how many",
     )
     parser.add_argument(
         "--forces-n", nargs="+", type=finite, default=[], metavar="N", help="levels of force, N"
@@ -107,12 +106,7 @@ def parse(arguments: list[str]) -> argparse.Namespace:
         help="levels of torque about the tip, N·m",
     )
     add_client_options(parser)
-    options = read_options(parser, arguments, name="recording's", tool="tool")
-    if len(options.positions) % len(GALEN.joints):
-        parser.error(
-            f"--positions has {len(options.positions)} numbers, not {len(GALEN.joints)} a position"
-        )
-    return options
+    return read_options(parser, arguments, name="recording's", tool="tool")
 
 
 def main() -> None:

@@ -58,12 +58,10 @@ class _Goal(RunningGoal):
         action: ArmAction,
         handle: ServerGoalHandle,
         procedure: CollectionProcedure,
-        plan: CollectionPlan,
         tool: CalibrationFile,
         folder: CollectionFolder,
     ) -> None:
         super().__init__(action, handle, procedure)
-        self.plan = plan
         self.tool = tool
         self.folder = folder
         self.recording: BagRecording | None = None
@@ -97,7 +95,7 @@ class CollectAction(ArmAction):
         try:
             folder = CollectionFolder(settings.folder("recordings_dir"), request.name)
             path = calibration_path(settings.folder("tools_dir"), request.tool)
-            tool = read_calibration(path)
+            tool = read_calibration(path, self.node.arm)
             if tool.tool != request.tool:
                 raise CalibrationFileError(
                     f"{path}: holds the tool '{tool.tool}', not '{request.tool}'"
@@ -121,11 +119,11 @@ class CollectAction(ArmAction):
         procedure = CollectionProcedure(
             settings, plan, np.asarray(tool.tip_m, float), request.push_by_service
         )
-        return _Goal(self, handle, procedure, plan, tool, folder)
+        return _Goal(self, handle, procedure, tool, folder)
 
     def introduce(self, goal: _Goal) -> str:
         """Describe in the log what begins."""
-        return f"{goal.plan.total} pushes, {goal.folder.final}"
+        return f"{goal.procedure.plan.total} pushes, {goal.folder.final}"
 
     def make_end(self, code: IntEnum, message: str, goal: _Goal | None) -> End:
         """Return an end that the procedure doesn't know of."""
@@ -144,7 +142,7 @@ class CollectAction(ArmAction):
             error_msg=end.error_msg,
             directory=goal.directory if goal else "",
             pushes=end.pushes,
-            pushes_asked=goal.plan.total if goal else 0,
+            pushes_asked=goal.procedure.plan.total if goal else 0,
             left_out=list(end.left_out),
             calibration_shift=[float(value) for value in end.shift],
             calibration_holds=end.holds,
@@ -284,7 +282,7 @@ class CollectAction(ArmAction):
             goal.folder.discard()
             return end
         request = goal.handle.request
-        content = summary(request, goal.plan, end, goal.messages)
+        content = summary(request, goal.procedure.plan, end, goal.messages)
         try:
             goal.folder.close(content, finished=end.error_code == ErrorCode.NONE)
         except DeflectionError as error:
@@ -293,7 +291,7 @@ class CollectAction(ArmAction):
         return end
 
     def _publish_feedback(self, goal: _Goal, feedback: Feedback) -> None:
-        plan = goal.plan
+        plan = goal.procedure.plan
         goal.handle.publish_feedback(
             CollectPushes.Feedback(
                 state=int(feedback.state),
@@ -365,6 +363,8 @@ class CollectionNode(GoalNode):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("collection", CollectionParameters, (CollectAction,), **kwargs)
+
+    def _set_up(self) -> None:
         for name in ("recordings_dir", "tools_dir"):
             self.status_values[name] = self.settings.folder(name)
 

@@ -6,14 +6,14 @@ at various positions, each visited twice. The axes are those of base_link.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from itertools import combinations
 from pathlib import Path
 from typing import ClassVar, NamedTuple
 
 import numpy as np
-from galen_model.arm.arm import Arm
+from galen_model.arm.clearance import ArmClearance, ObstacleError
 from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
@@ -136,7 +136,11 @@ _POSITIONS = (
     (-0.07, 0.04, 0.37, -0.9, 0.5),
     (0.03, 0.07, 0.40, 0.3, 0.8),
 )
-"""Those of bags/pushes."""
+"""The Galen's, those of bags/pushes."""
+_OFFSET = (0.03, 0.15)
+"""From the present pose of another arm, around which nothing is known: the tip moves decimetres."""
+_SIGNS = np.array([[1, -1, 1, -1], [1, 1, -1, -1], [-1, 1, 1, -1]])
+"""By position and joint, those of four joints again and again."""
 
 
 class PlanError(GalenError):
@@ -179,16 +183,39 @@ class WantedPush(NamedTuple):
 
 @dataclass(frozen=True)
 class CollectionPlan:
-    """positions (p, j), m and rad; the same pushes at each visit; `sets` visits of each."""
+    """positions (p, j), m and rad; the same pushes at each visit; `sets` visits of each.
+
+    from_present: positions are counted from where the arm stands at the start. warnings: which
+    collisions are not checked.
+    """
 
     positions: Array
     pushes: tuple[WantedPush, ...]
     sets: int
+    from_present: bool = False
+    warnings: tuple[str, ...] = ()
 
     @property
     def total(self) -> int:
         """Pushes in all visits."""
         return self.sets * len(self.positions) * len(self.pushes)
+
+    def begun_at(
+        self, joints: Array, settings: CollectionParameters, tip_m: Array
+    ) -> CollectionPlan:
+        """Return the plan of an arm that stands at joints (j,); raises PlanError as `make_plan`.
+
+        An arm with a description of its links is kept from hitting itself on its ways.
+        """
+        plan, arm = self, settings.arm
+        if self.from_present:
+            rows = np.clip(joints + self.positions, arm.lower, arm.upper)
+            rows[0] = joints
+            plan = replace(self, positions=rows, from_present=False)
+            _check(plan, settings, tip_m)
+        if arm.delta is None and arm.urdf:
+            plan = replace(plan, warnings=_check_ways(plan.positions, joints, settings, tip_m))
+        return plan
 
 
 @dataclass(frozen=True)
@@ -201,9 +228,10 @@ class CollectionParameters(MotionParameters):
     )
 
     positions: tuple[float, ...] = param(
-        [value for joints in _POSITIONS for value in joints],
+        [],
         "the arm's joints of one position after the other, m and rad; the first position is also"
-        " that of the calibration sets",
+        " that of the calibration sets; empty: four, of the Galen those of bags/pushes, of another"
+        f" arm where it stands and {_OFFSET[1]:g} rad, {_OFFSET[0]:g} m about it",
     )
     sets: int = param(2, "how often each position is visited", minimum=1, maximum=MOST_SETS)
     forces_n: tuple[float, ...] = param(
@@ -262,20 +290,14 @@ class CollectionParameters(MotionParameters):
         return Path(getattr(self, name)).expanduser()
 
 
-def make_plan(settings: CollectionParameters, tip_m: Array, arm: Arm = GALEN) -> CollectionPlan:
-    """Check what is asked for; tip_m (3,) in ft_sensor.
+def make_plan(settings: CollectionParameters, tip_m: Array) -> CollectionPlan:
+    """Check what is asked for of `settings.arm`; tip_m (3,) in ft_sensor.
 
     Raises OutOfReachError, and PlanError for anything else that can't be done.
     """
-    rows = _checked_positions(np.asarray(settings.positions, dtype=float).reshape(-1), arm)
-    sets = settings.sets
+    arm, sets = settings.arm, settings.sets
     if not 1 <= sets <= MOST_SETS:
         raise PlanError(f"sets is {sets}: it must be 1 to {MOST_SETS}")
-    if sets > 1 and len(rows) == 1:
-        raise PlanError(
-            "two sets at a single position can't be distinguished: the arm must go elsewhere"
-            " between"
-        )
     pushes: list[WantedPush] = []
     for first, name, levels in (
         (0, "forces_n", settings.forces_n),
@@ -292,20 +314,24 @@ def make_plan(settings: CollectionParameters, tip_m: Array, arm: Arm = GALEN) ->
         ]
     if not pushes:
         raise PlanError("forces_n and torques_nm are both empty: there is nothing to push")
-    for number, joints in enumerate(rows, start=1):
-        for push in pushes:
-            _check_load(number, joints, push, tip_m, settings, arm)
-    return CollectionPlan(rows, tuple(pushes), sets)
-
-
-def _checked_positions(flat: Array, arm: Arm) -> Array:
-    count = len(arm.joints)
-    if not len(flat) or len(flat) % count or len(flat) > count * MOST_POSITIONS:
+    flat, count = np.asarray(settings.positions, dtype=float).reshape(-1), len(arm.joints)
+    if len(flat) % count or len(flat) > count * MOST_POSITIONS:
         raise PlanError(
             f"positions holds {len(flat)} numbers: {count} joints a position are wanted, of 1 to"
             f" {MOST_POSITIONS} positions"
         )
-    rows = flat.reshape(-1, count)
+    if not len(flat) and arm.joint_names != GALEN.joint_names:
+        signs = np.vstack([np.zeros(count), np.resize(_SIGNS.T, (count, len(_SIGNS))).T])
+        return CollectionPlan(signs * arm.by_unit(*_OFFSET), tuple(pushes), sets, True)
+    rows = flat.reshape(-1, count) if len(flat) else np.array(_POSITIONS)
+    plan = CollectionPlan(rows, tuple(pushes), sets)
+    _check(plan, settings, tip_m)
+    return plan
+
+
+def _check(plan: CollectionPlan, settings: CollectionParameters, tip_m: Array) -> None:
+    """Raise PlanError for positions that can't be, or a push that the sensor must not read."""
+    rows, arm = plan.positions, settings.arm
     for number, joints in enumerate(rows, start=1):
         # Between two such positions the carriages are well too: a carriage's coordinate is convex
         # in the platform's position, and in the joints' box it has room to spare downwards.
@@ -314,20 +340,47 @@ def _checked_positions(flat: Array, arm: Arm) -> Array:
     for a, b in combinations(range(len(rows)), 2):
         if np.all(np.abs(rows[a] - rows[b]) <= same_position(arm)):
             raise PlanError(f"positions {a + 1} and {b + 1} are the same place")
-    return rows
+    if plan.sets > 1 and len(rows) == 1:
+        raise PlanError(
+            "two sets at a single position can't be distinguished: the arm must go elsewhere"
+            " between"
+        )
+    for number, joints in enumerate(rows, start=1):
+        for push in plan.pushes:
+            _check_load(number, joints, push, tip_m, settings)
+
+
+def _check_ways(
+    rows: Array, joints: Array, settings: CollectionParameters, tip_m: Array
+) -> tuple[str, ...]:
+    """Return which collisions are not checked; raises PlanError for one on the ways."""
+    if not np.all(np.isfinite(joints)):
+        raise PlanError(f"joint_states holds {joints.tolist()}: all joints must be finite")
+    arm = settings.arm
+    try:
+        clearance = ArmClearance((), 0.0, tip_m, arm, joints)
+        if settings.require_collision_shapes:
+            clearance.require_shapes()
+    except ObstacleError as error:
+        raise PlanError(str(error)) from error
+    start, name = joints, "where the arm stands"
+    # The last set ends at the last position, and the calibration set after it is at the first.
+    for place, goal in [*enumerate(rows, start=1), (1, rows[0])]:
+        if fault := clearance.path_fault(arm.nearest(start, goal), goal):
+            raise OutOfReachError(
+                f"position {place}: on the way from {name}, {fault}; choose other positions, or"
+                " start from another pose"
+            )
+        start, name = goal, f"position {place}"
+    return clearance.warnings
 
 
 def _check_load(
-    number: int,
-    joints: Array,
-    push: WantedPush,
-    tip_m: Array,
-    settings: CollectionParameters,
-    arm: Arm,
+    number: int, joints: Array, push: WantedPush, tip_m: Array, settings: CollectionParameters
 ) -> None:
     """Raise PlanError for a push that the sensor must not read."""
-    rotation, tip = arm.tip_pose(joints, tip_m)
-    _, origin = arm.sensor_pose(joints)
+    rotation, tip = settings.arm.tip_pose(joints, tip_m)
+    _, origin = settings.arm.sensor_pose(joints)
     read = move_wrench(push.wrench, rotation.T, rotation.T @ (tip - origin))
     force, torque = float(np.linalg.norm(read[:3])), float(np.linalg.norm(read[3:]))
     if force > settings.max_force_n or torque > settings.max_torque_nm:

@@ -19,8 +19,6 @@ from enum import IntEnum
 from functools import partial
 
 import numpy as np
-from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_ros.goal.arrival import NS, StampClock
 from galen_ros.goal.procedure import JOINTS, GoalProcedure
@@ -32,6 +30,8 @@ from galen_deflection.collection.plan import (
     ErrorCode,
     Feedback,
     Finished,
+    OutOfReachError,
+    PlanError,
     Push,
     Record,
     State,
@@ -75,12 +75,11 @@ class CollectionProcedure(GoalProcedure):
         plan: CollectionPlan,
         tip_m: Array,
         by_service: bool,
-        arm: Arm = GALEN,
     ) -> None:
         """`tip_m` (3,) in ft_sensor; `by_service`: `push_tool` pushes, not a person."""
         super().__init__(settings, State.CALIBRATION)
         self._plan = plan
-        self._tip_m, self._arm = tip_m, arm
+        self._tip_m, self._arm = tip_m, settings.arm
         self._by_service = by_service
         self._script = self._steps()
         self._set = self._position = 0  # from 1; 0 in a calibration set
@@ -89,7 +88,7 @@ class CollectionProcedure(GoalProcedure):
         self._no_contact_since_ns = 0
         self._calibrations: list[NoContact] = []
         self._here: NoContact | None = None
-        self._springs = Springs(tip_m, arm)
+        self._springs = Springs(tip_m, settings.arm)
         self._window: deque[tuple[int, Array]] = deque()
         self._watch: PushWatch | None = None
         self._push_number = 0
@@ -112,13 +111,18 @@ class CollectionProcedure(GoalProcedure):
         self._clock = StampClock(_WRENCH, settings.arrival.max_stamp_step_s)
 
     @property
+    def plan(self) -> CollectionPlan:
+        """What is collected, from the start on with the positions that the arm goes to."""
+        return self._plan
+
+    @property
     def progress(self) -> tuple[int, int]:
         """Pushes done or left out, and pushes in all sets."""
         return self._good + len(self._left_out), self._plan.total
 
     def finish(self, code: IntEnum, message: str) -> Finished:
         """Return an end with what has come of it so far."""
-        warnings = list(self._warnings)
+        warnings = [*self._plan.warnings, *self._warnings]
         if self._clock.jumps:
             warnings.append(
                 f"time stamps jumped {self._clock.jumps} times; the last: {self._clock.last_jump}"
@@ -215,6 +219,13 @@ class CollectionProcedure(GoalProcedure):
         yield self._compare
 
     def _begin(self) -> None:
+        assert self._joints is not None
+        try:
+            self._plan = self._plan.begun_at(self._joints, self._settings, self._tip_m)
+        except PlanError as error:
+            far = isinstance(error, OutOfReachError)
+            self.fail(ErrorCode.OUT_OF_REACH if far else ErrorCode.BAD_INPUT, str(error))
+            return
         self._next()
 
     @property

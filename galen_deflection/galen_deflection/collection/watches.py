@@ -16,7 +16,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.registration import Transform, mean_pose
 from galen_ros.goal.arrival import NS
@@ -140,7 +139,7 @@ class NoContactWatch:
         return ""
 
 
-def collection_shift(first: NoContact, second: NoContact, tip_m: Array, arm: Arm = GALEN) -> Array:
+def collection_shift(first: NoContact, second: NoContact, tip_m: Array, arm: Arm) -> Array:
     """Return how far the tip (6,) is from where it should be, in base_link, m and rad."""
     registered = (
         Transform(*arm.tip_pose(first.joints, tip_m)) @ _tool_in_base_marker(first).inverse()

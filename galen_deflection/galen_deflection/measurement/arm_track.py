@@ -59,7 +59,7 @@ def find_stays(line: Timeline, joints: Array, arm: Arm) -> tuple[list[Stay], Arr
     positions: list[Array] = []
     visits: list[int] = []
     stays: list[Stay] = []
-    for rows in rest_by_joints(line.time_ns, joints):
+    for rows in rest_by_joints(line.time_ns, joints, arm=arm):
         here = np.nanmedian(joints[rows], axis=0)
         near = [k for k, p in enumerate(positions) if np.all(np.abs(p - here) <= same)]
         if near:
@@ -188,7 +188,7 @@ def read_arm_track(
     Readings beyond the sensor's range are left out. Raises BagError, and DeflectionError where
     a joint lacks or no wrench can be compensated.
     """
-    reader = ArmReader(bag)
+    reader = ArmReader(bag, arm=arm)
     total, done = reader.message_count, 0
     blocks = []
     for block in reader.blocks():

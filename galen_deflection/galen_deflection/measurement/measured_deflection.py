@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from galen_model.arm.arm import Arm
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import CalibrationFile
@@ -51,10 +53,11 @@ def read_recording(
     tool: CalibrationFile,
     marker_offset: bool = False,
     on_progress: Callable[[int, int | None], None] | None = None,
+    arm: Arm = GALEN,
 ) -> Recording:
-    """Read and register one bag; raises GalenError that names the bag."""
+    """Read and register one bag of an arm; raises GalenError that names the bag."""
     recording = measure_deflection(
-        read_pushes(path, tool, on_progress), marker_offset=marker_offset
+        read_pushes(path, tool, on_progress, arm), marker_offset=marker_offset
     )
     if not len(recording.samples):
         raise DeflectionError(f"{path}: no deflection could be measured in it")

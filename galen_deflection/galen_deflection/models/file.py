@@ -1,14 +1,16 @@
 """Kinds of deflection models by name, and a model's file: written whole or not at all.
 
-    {"schema_version": 1, "kind": "joint_stiffness", "tip_m": [..3..],
+    {"schema_version": 1, "arm": {"name": "galen", "joints": ["delta_x", ..]},
+     "kind": "joint_stiffness", "tip_m": [..3..],
      "parameters": [{"name": "1/k_roll", "unit": "rad/(N.m)", "value": 0.0005}, ...],
      "covariance": [[..]], "discrepancy": [[6x6]], "noise": [..6..], "fitted_range": {...},
      "fitted_on": {"samples": .., "segments": .., "positions": .., "sets": ..}, "unresolved": [..],
      "notes": [..],
      "sha256": "..."}
 
-The other fields depend on the kind. The checksum is SHA-256 of all other fields as JSON without
-spaces and with sorted keys: it shows a file that was cut, mixed or edited by hand.
+The other fields depend on the kind. A file without `arm` is of the Galen. The checksum is SHA-256
+of all other fields as JSON without spaces and with sorted keys: it shows a file that was cut, mixed
+or edited by hand.
 
 PyTorch is imported by the training of a network only.
 """
@@ -35,6 +37,7 @@ from galen_model.files.json_fields import (
     parse_json,
     read_limited,
     text,
+    texts,
 )
 
 from galen_deflection.measurement.samples import DeflectionError, DeflectionSamples
@@ -78,7 +81,10 @@ KINDS: dict[str, ModelKind] = {
 
 
 def read_model(path: str | os.PathLike[str], arm: Arm = GALEN) -> DeflectionModel:
-    """Read and check a model's file; raises DeflectionError that names the file and the field."""
+    """Read and check a model's file; raises DeflectionError that names the file and the field.
+
+    A model of another arm, which has other joints, is rejected.
+    """
     path = Path(path)
     try:
         content = parse_json(read_limited(path, _MAX_FILE_BYTES, "a model's file"))
@@ -96,10 +102,12 @@ def write_model(path: str | os.PathLike[str], model: DeflectionModel) -> None:
     """
     path = Path(path)
     try:
-        content = {"schema_version": SCHEMA_VERSION, **model.to_json()}
+        arm = model.fitted_range.arm
+        of = {"name": arm.name, "joints": list(arm.joint_names)}
+        content = {"schema_version": SCHEMA_VERSION, "arm": of, **model.to_json()}
         content["sha256"] = _checksum(content)
         raw = json.dumps(content, indent=1, allow_nan=False) + "\n"
-        _model_of(parse_json(raw), model.fitted_range.arm)  # what can't be read must not be written
+        _model_of(parse_json(raw), arm)  # what can't be read must not be written
     except (ValueError, FieldError) as error:
         raise DeflectionError(f"{path}: not written: {error}") from error
     try:
@@ -118,7 +126,22 @@ def _model_of(content: Any, arm: Arm) -> DeflectionModel:
     found = text(get(whole, "sha256"), "sha256")
     if found != _checksum(whole):
         raise FieldError("sha256 is not that of the content: it was changed or cut")
+    _check_arm(whole, arm)
     return KINDS[name].read(whole, arm)
+
+
+def _check_arm(whole: Mapping[str, Any], arm: Arm) -> None:
+    """Raise FieldError for a model of an arm with other joints."""
+    name, joints = GALEN.name, GALEN.joint_names
+    if "arm" in whole:
+        of = mapping(whole["arm"], "arm")
+        name, joints = text(get(of, "name"), "arm.name"), texts(get(of, "joints"), "arm.joints")
+    if joints != arm.joint_names:
+        raise FieldError(
+            f"is a model of the arm '{name}' ({', '.join(joints)}), not of '{arm.name}'"
+            f" ({', '.join(arm.joint_names)}): give that arm's description, or train a model of"
+            " this arm"
+        )
 
 
 def _checksum(content: Mapping[str, Any]) -> str:

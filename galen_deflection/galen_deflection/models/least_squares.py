@@ -263,7 +263,8 @@ def _reject_negative(totals: Sums, solution: Solution, parameters: Sequence[Para
     """Raise DeflectionError if a compliance would be below zero, were it let."""
     information, right = totals.total()
     for k, parameter in enumerate(parameters):
-        if parameter.prior_std is None or solution.values[k] > 0.0:
+        seen = information[k, k] > 0.0
+        if parameter.prior_std is None or solution.values[k] > 0.0 or not seen:
             continue
         free = solution.values > 0.0
         free[k] = True

@@ -108,8 +108,9 @@ class SpringBasis:
     def compliances(self) -> tuple[Parameter, ...]:
         """1/k of each kind of spring, as 1/k_roll."""
         return tuple(
-            # The nominal stiffness of each is an estimate: it may well be twice as stiff, or half.
-            Parameter(f"1/k_{kind.name}", kind.compliance_unit, kind.compliance, kind.compliance)
+            Parameter(
+                f"1/k_{kind.name}", kind.compliance_unit, kind.compliance, kind.compliance_std
+            )
             for kind in self.kinds
         )
 

@@ -39,14 +39,29 @@ Vector = tuple[float, float, float]
 Columns = tuple[Vector, Vector, Vector]
 
 
+_USUAL_COMPLIANCE = {"rad": 5e-4, "m": 3e-6}
+"""1/k, rad/(N.m) and m/N, of a drive of which nothing is known: softer than most are (2000 N.m/rad
+and 3e5 N/m, as estimated of the Galen; harmonic drives of industrial arms have 1e4 and more)."""
+
+
 class Kind(NamedTuple):
-    """Springs that share their parameters; `springs` are columns, `compliance` the nominal."""
+    """Springs that share their parameters; `springs` are columns.
+
+    compliance: the nominal, 0 of a joint whose stiffness is not known; compliance_std: how far the
+    true one may be from it.
+    """
 
     name: str
     springs: range
     compliance: float
+    compliance_std: float
     load_unit: str
     compliance_unit: str
+
+
+def elastic_joints(arm: Arm) -> list[int]:
+    """Return the places of the joints that deflect: all but those that stand for a delta's rods."""
+    return list(range(0 if arm.delta is None else 3, len(arm.joints)))
 
 
 def kinds(arm: Arm = GALEN) -> tuple[Kind, ...]:
@@ -54,13 +69,17 @@ def kinds(arm: Arm = GALEN) -> tuple[Kind, ...]:
 
     Nominal compliances 1/k in rad/(N.m) and m/N.
     """
-    sizes = dict.fromkeys(arm.stiffness, 1) | {"carriage": 3, "rod": 6}
-    turning = set(arm.turning_names)
+    springs = [(arm.joint_names[k], 1, arm.units[k]) for k in elastic_joints(arm)]
+    if arm.delta is not None:
+        springs += [("carriage", 3, "m"), ("rod", 6, "m")]
     found, first = [], 0
-    for name, stiffness in arm.stiffness.items():
-        units = ("N.m", "rad/(N.m)") if name in turning else ("N", "m/N")
-        found.append(Kind(name, range(first, first + sizes[name]), 1.0 / stiffness, *units))
-        first += sizes[name]
+    for name, size, unit in springs:
+        units = ("N.m", "rad/(N.m)") if unit == "rad" else ("N", "m/N")
+        compliance = 1.0 / arm.stiffness.get(name, np.inf)
+        # A nominal stiffness is an estimate: the true one may well be twice as stiff, or half.
+        std = compliance or _USUAL_COMPLIANCE[unit]
+        found.append(Kind(name, range(first, first + size), compliance, std, *units))
+        first += size
     return tuple(found)
 
 
@@ -84,7 +103,7 @@ class Springs:
         """tip_m (3,): in ft_sensor."""
         self._arm = arm
         self._tip_m = np.asarray(tip_m, dtype=float)
-        self._elastic = [k for k, joint in enumerate(arm.joints) if np.isfinite(joint.stiffness)]
+        self._elastic = elastic_joints(arm)
         self._turns = np.array([[float(k in arm.turning)] for k in self._elastic])
         self._chain = [
             (

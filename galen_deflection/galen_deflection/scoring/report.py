@@ -9,8 +9,10 @@ from typing import Any
 
 from galen_bags.formats.files import find_bags
 from galen_bags.many import calibration_of_bag
+from galen_model.arm.arm import Arm
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import CalibrationFile
+from galen_ros.arm import add_arm, chosen_arm
 from galen_ros.command import progress
 from rich.console import Console
 from rich.table import Table
@@ -45,13 +47,14 @@ def add_recordings(parser: argparse.ArgumentParser, *, required: bool) -> None:
         help="estimate the offset of the tool's marker from the tip, instead of taking it to be"
         " at the tip; needs positions with different orientations",
     )
+    add_arm(parser)
 
 
-def tool_of(bag: Path, arguments: argparse.Namespace) -> CalibrationFile:
+def tool_of(bag: Path, arguments: argparse.Namespace, arm: Arm) -> CalibrationFile:
     """Return the tool that a bag was recorded with; raises GalenError that names the file."""
     beside = arguments.tool is None
     tool = Path(arguments.tool_beside) if beside else arguments.tool
-    return calibration_of_bag(bag, tool, beside=beside)
+    return calibration_of_bag(bag, tool, beside=beside, arm=arm)
 
 
 def read_all(paths: Sequence[Path], arguments: argparse.Namespace) -> list[Recording]:
@@ -59,12 +62,13 @@ def read_all(paths: Sequence[Path], arguments: argparse.Namespace) -> list[Recor
 
     Raises GalenError for the first bad one.
     """
-    bags = find_bags(paths)
+    arm, bags = chosen_arm(arguments), find_bags(paths)
     with progress(len(bags), "bag", quiet=arguments.json) as bar:
         found = []
         for bag in bags:
             bar.set_description(f"reading {bag.name}")
-            found.append(read_recording(bag, tool_of(bag, arguments), arguments.marker_offset))
+            tool = tool_of(bag, arguments, arm)
+            found.append(read_recording(bag, tool, arguments.marker_offset, arm=arm))
             bar.update()
     return found
 

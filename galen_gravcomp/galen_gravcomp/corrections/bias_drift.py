@@ -39,7 +39,7 @@ from enum import Enum
 
 import numpy as np
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN, GRAVITY_M_S2, WRENCH_AXES
+from galen_model.arm.galen import GALEN, WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.load.model import gravity_regressor
 from galen_model.rest.windows import StillWindows
@@ -168,7 +168,8 @@ class BiasDriftFilter:
             grown = np.zeros(16)
             grown[_BIAS_DRIFT] = np.minimum(_WALK_PER_SQRT_S**2 * elapsed_s, room)
             # The chord: near zero the arc cosine has no figures left.
-            angle = float(np.linalg.norm(gravity - self._gravity)) / -GRAVITY_M_S2[2]
+            chord = float(np.linalg.norm(gravity - self._gravity))
+            angle = chord / float(np.linalg.norm(self._arm.gravity_m_s2))
             if angle > _SAME_PLACE_RAD:
                 kept = float(np.exp(-(angle**2) / (2.0 * _LENGTH_RAD**2)))
                 keep = np.ones(16)

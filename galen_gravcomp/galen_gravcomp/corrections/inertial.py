@@ -262,7 +262,7 @@ class JointMotion(InertialForces):
     def __init__(self, parameters: GravcompParameters, arm: Arm = GALEN) -> None:
         self._largest = tuple(_LARGEST_STEP[unit] for unit in arm.units)
         self._sensor = MotionOfSensor(arm)
-        self._zero = (0.0, 0.0)
+        self._zero = (0.0,) * len(arm.turning)
         self._last: tuple[int, tuple[float, ...]] | None = None
         super().__init__(parameters, arm)
 
@@ -270,8 +270,8 @@ class JointMotion(InertialForces):
         """Take another tool's loads and zeros of joints."""
         super().set_tool(tool)
         mounting = None if tool is None else tool.mounting
-        zero = (0.0, 0.0) if mounting is None else mounting.joint_zero_rad
-        self._zero = (float(zero[0]), float(zero[1]))
+        zero = [0.0] * len(self._zero) if mounting is None else mounting.joint_zero_rad.tolist()
+        self._zero = tuple(zero)
 
     def clear(self) -> None:
         """Forget every sample."""
@@ -298,22 +298,23 @@ class JointMotion(InertialForces):
         found = self._window.at(stamp_ns)
         if isinstance(found, str):
             last = () if self._last is None else self._last[1]
-            others = [value for k, value in enumerate(last) if k not in self._arm.turning]
-            if others and all(map(math.isnan, others)):
-                return f"{_UNKNOWN} joint_states lacks the platform's position"
+            others = {
+                joint.name: at
+                for joint, at in zip(self._arm.joints, last, strict=False)
+                if joint.kind == "prismatic"
+            }
+            if others and all(map(math.isnan, others.values())):
+                return f"{_UNKNOWN} joint_states lacks {', '.join(others)}"
             return found
         value, first, second = found
         then, change = angles, (0.0, 0.0, 0.0)
         if self._parameters.motion_lag_s:
-            then = tuple(value[list(self._arm.turning)].tolist())
+            then = self._arm.angles_of(tuple(value.tolist()))
             x, y, z = (self._gravity(then) - self._gravity(angles)).tolist()
             change = (x, y, z)
-        w, al, (ax, ay, az) = self._sensor.at(
-            then[0] + self._zero[0],
-            then[1] + self._zero[1],
-            tuple(first.tolist()),
-            tuple(second.tolist()),
-        )
+        for place, angle, zero in zip(self._arm.turning, then, self._zero, strict=True):
+            value[place] = angle + zero
+        w, al, (ax, ay, az) = self._sensor.at(value, first, second)
         specific = (change[0] - ax, change[1] - ay, change[2] - az)
         return np.array(self._load.wrench(specific, w, al))
 

@@ -16,16 +16,24 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from galen_bags.arrays.arm_recording import WRENCH_TYPE, ArmBlock, ArmReader, ArmTopics
+from galen_bags.archive import local_copy
+from galen_bags.arrays.arm_recording import (
+    WRENCH_TYPE,
+    ArmBlock,
+    ArmReader,
+    ArmTopics,
+    arm_of_bag,
+)
 from galen_bags.arrays.timeline import StampCheck, StampReport
 from galen_bags.formats.bag import Bag, open_bag
 from galen_bags.formats.writer import BagWriter
-from galen_bags.many import calibration_of_bag
+from galen_bags.many import Place, calibration_of_bag, name_of
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.evidence.verdict import Cause, Limits, Verdict
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.rest.binned import CELL_S, CellReducer, Cells, StillPhases, find_still_phases
+from galen_ros.arm import ArmParameters
 from galen_ros.cdr import MessageBytes, wrench_bytes
 from galen_ros.stream.samples import Notice
 
@@ -67,6 +75,7 @@ class EvaluationSettings:
     start_s: float = 0.0
     duration_s: float | None = None
     parameters: GravcompParameters = field(default_factory=GravcompParameters)
+    arm: ArmParameters = field(default_factory=ArmParameters)
     limits: Limits = field(default_factory=Limits)
 
 
@@ -80,7 +89,7 @@ class BagEvaluation:
     inertial forces were subtracted, in words; empty where they were not.
     """
 
-    path: Path
+    path: Place
     tool: CalibrationFile
     topics: tuple[str, str]
     duration_s: float
@@ -127,26 +136,37 @@ class BagJob:
     """Evaluates bags, in this process or another.
 
     `tool` is the calibration file, or, where `tool_beside` is true, a file's name to look for in
-    the bag's directory and in the one above. `names` has the name that plots and bags written get.
+    the bag's directory and in the one above; it and bags may be a store's URLs. Plots and bags
+    written are named by so many parts of the bag's place.
     """
 
-    tool: Path
+    tool: Place
     tool_beside: bool = False
     settings: EvaluationSettings = field(default_factory=EvaluationSettings)
     plots: Path | None = None
     bags_out: Path | None = None
-    names: dict[Path, str] = field(default_factory=dict)
+    name_parts: int = 1
 
-    def __call__(self, bag: Path) -> dict[str, Any]:
+    def __call__(self, bag: Place) -> dict[str, Any]:
         """Evaluate a bag, as plain numbers and texts."""
         from galen_gravcomp.evaluate.bag_report import to_json
 
         return to_json(self.evaluate(bag))
 
-    def evaluate(self, path: Path, on_progress: OnProgress | None = None) -> BagEvaluation:
+    def evaluate(self, bag: Place, on_progress: OnProgress | None = None) -> BagEvaluation:
         """Evaluate a bag; raises GalenError, naming the bag or the calibration file."""
-        tool = calibration_of_bag(path, self.tool, beside=self.tool_beside)
-        name = self.names.get(path, path.stem)
+        beside = str(self.tool) if self.tool_beside else ""
+        file = Path(beside) if self.tool_beside else self.tool
+        with local_copy(bag, beside) as path, local_copy(file) as tool:
+            result = self._evaluate(path, tool, name_of(bag, self.name_parts), on_progress)
+            return replace(result, path=bag)
+
+    def _evaluate(
+        self, path: Path, file: Path, name: str, on_progress: OnProgress | None
+    ) -> BagEvaluation:
+        with open_bag(path) as bag:
+            arm = arm_of_bag(bag, self.settings.arm, self.settings.topics)
+        tool = calibration_of_bag(path, file, beside=self.tool_beside, arm=arm)
         write_to = None if self.bags_out is None else self.bags_out / f"{name}_compensated"
         result = evaluate_bag(path, tool, self.settings, on_progress, write_to)
         if self.plots is not None:
@@ -166,7 +186,7 @@ def evaluate_bag(
     on_progress: OnProgress | None = None,
     write_to: Path | None = None,
 ) -> BagEvaluation:
-    """Evaluate a bag; raises BagError for one that can't be read or lacks the topics.
+    """Evaluate a bag on the tool's arm; raises BagError, naming the bag.
 
     `write_to`: where to write the bag with the compensated wrench in it.
     """
@@ -176,6 +196,7 @@ def evaluate_bag(
         reader = ArmReader(
             bag,
             settings.topics,
+            arm=tool.arm,
             all_topics=write_to is not None,
             start_s=settings.start_s,
             duration_s=settings.duration_s,
@@ -201,7 +222,8 @@ class _Run:
     def __init__(self, tool: CalibrationFile, settings: EvaluationSettings) -> None:
         self._tool = tool
         self._settings = settings
-        self._compensator = Compensator(replace(settings.parameters, calibration_monitor=False))
+        parameters = replace(settings.parameters, calibration_monitor=False)
+        self._compensator = Compensator(parameters, arm=tool.arm)
         self._compensator.set_tool(tool)
         self._joint_stamps = StampCheck()
         self._wrench_stamps = StampCheck()

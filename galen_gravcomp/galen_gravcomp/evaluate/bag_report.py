@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 from galen_bags.arrays.timeline import StampReport
-from galen_model.arm.galen import GALEN, WRENCH_AXES
+from galen_model.arm.galen import WRENCH_AXES
 from galen_model.evidence.verdict import Cause
 from galen_ros.stream.samples import Notice
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from galen_gravcomp.evaluate.bag import BagEvaluation
@@ -25,6 +27,8 @@ from galen_gravcomp.evaluate.report import (
     table,
 )
 
+RESULT_VERSION = 1
+"""To be raised where `to_json` changes: kept results of before are then not taken for today's."""
 _WORST = 5
 _EVENTS = 5
 _STYLES = {Cause.FITS.word: "bold green", Cause.UNKNOWN.word: "bold yellow"}
@@ -44,11 +48,12 @@ def report(result: BagEvaluation) -> Report:
     content = to_json(result)
     tool = result.tool
     shown: list[str | Table] = [
-        f"[bold]{result.path}[/bold]: {result.duration_s:.1f} s, tool {tool.tool}"
-        f" ({1e3 * tool.load.mass_kg:.1f} g, calibrated {tool.calibrated_at})"
+        f"[bold]{escape(str(result.path))}[/bold]: {result.duration_s:.1f} s, tool"
+        f" {escape(tool.tool)} ({1e3 * tool.load.mass_kg:.1f} g,"
+        f" calibrated {escape(tool.calibrated_at)})"
     ]
     if result.motion:
-        shown.append(f"Inertial forces are subtracted, with the inertia: {result.motion}")
+        shown.append(f"Inertial forces are subtracted, with the inertia: {escape(result.motion)}")
     style = _STYLES.get(content["verdict"], "bold red")
     residual = axes_table(
         f"Residual of {result.compensated} compensated wrenches, root mean square;"
@@ -56,13 +61,13 @@ def report(result: BagEvaluation) -> Report:
     )
     for key, name in _RMSE.items():
         residual.add_row(name, *axis_cells(content["rmse"][key]))
-    shown += [f"[{style}]{result.verdict.text}[/{style}]", residual]
+    shown += [f"[{style}]{escape(result.verdict.text)}[/{style}]", residual]
     if content["residual_decomposition"] is not None:
         shown += _parts(content["residual_decomposition"])
     if content["worst_poses"]:
         shown.append(_worst(content["worst_poses"]))
     shown.append(_stamps(content["stamps"]))
-    shown += [f"[yellow]{line}[/yellow]" for line in content["findings"]]
+    shown += [f"[yellow]{escape(line)}[/yellow]" for line in content["findings"]]
     return Report(content, shown)
 
 
@@ -118,13 +123,61 @@ def to_json(result: BagEvaluation) -> dict[str, Any]:
     }
 
 
+COLUMNS = {
+    **dict.fromkeys(("verdict", "sentence", "tool"), "string"),
+    **dict.fromkeys(("duration_s", "still_s"), "float64"),
+    **dict.fromkeys(
+        ("still_phases", "wrenches_received", "wrenches_compensated", "findings"), "int64"
+    ),
+    **dict.fromkeys(("joint_states_rate_hz", "wrench_raw_rate_hz"), "float64"),
+    **{
+        f"rmse_{part}_{axis}_{'N' if axis in WRENCH_AXES[:3] else 'Nm'}": "float64"
+        for part in ("still_phases", "still", "moving", "noise")
+        for axis in WRENCH_AXES
+    },
+    **{
+        f"drift_{axis}_{'N' if axis in WRENCH_AXES[:3] else 'Nm'}_per_h": "float64"
+        for axis in WRENCH_AXES
+    },
+    "drift_is_significant": "bool_",
+    "load_error_kg": "float64",
+    "load_error_std_kg": "float64",
+}
+"""The table of an archive: a row a bag, SI units, null where unknown; types as pyarrow's."""
+
+
+def to_row(content: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a row of `COLUMNS` from what `to_json` gave."""
+    parts = content["residual_decomposition"] or {}
+    groups = {f"rmse_{name}": values for name, values in content["rmse"].items()}
+    groups["drift"] = parts.get("rate_per_hour")
+    row = {name: content[name] for name in ("verdict", "sentence", "tool", "duration_s", "still_s")}
+    row |= {
+        "still_phases": content["still_phases"],
+        "wrenches_received": content["wrenches"]["received"],
+        "wrenches_compensated": content["wrenches"]["compensated"],
+        "findings": len(content["findings"]),
+        "drift_is_significant": "drift" in parts["significant"] if parts else None,
+        "load_error_kg": parts.get("mass_kg"),
+        "load_error_std_kg": parts.get("mass_std_kg"),
+    }
+    row |= {f"{topic}_rate_hz": stamps["rate_hz"] for topic, stamps in content["stamps"].items()}
+    for group, values in groups.items():
+        ending = "_per_h" if group == "drift" else ""
+        for number, axis in enumerate(WRENCH_AXES):
+            unit = "N" if number < 3 else "Nm"
+            row[f"{group}_{axis}_{unit}{ending}"] = values and values[axis]
+    return row
+
+
 def print_overview(rows: list[dict[str, Any]], console: Console) -> None:
     """Print one line a bag, and a sentence on each that does not fit.
 
     `rows`: from `to_json`, or {"bag": ..., "error": ...}.
     """
     names, folder = _short_names([row["bag"] for row in rows])
-    where = f" (bags in {folder})" if folder else ""
+    names = [escape(name) for name in names]
+    where = f" (bags in {escape(folder)})" if folder else ""
     heads = ("length, s", "out, %", "rest N", "rest mN.m", "moving N", "drift N/h")
     made = table(f"Does the file still fit?{where}", ("bag", *heads, "verdict", "findings"))
     for name, row in zip(names, rows, strict=True):
@@ -151,9 +204,9 @@ def print_overview(rows: list[dict[str, Any]], console: Console) -> None:
     console.print(made)
     for name, row in zip(names, rows, strict=True):
         if "error" in row:
-            console.print(f"[red]{row['error']}[/red]", soft_wrap=True, highlight=False)
+            console.print(f"[red]{escape(row['error'])}[/red]", soft_wrap=True, highlight=False)
         elif row["verdict"] != Cause.FITS.word:
-            console.print(f"{name}: {row['sentence']}", soft_wrap=True, highlight=False)
+            console.print(f"{name}: {escape(row['sentence'])}", soft_wrap=True, highlight=False)
 
 
 def _short_names(bags: list[str]) -> tuple[list[str], str]:
@@ -162,7 +215,8 @@ def _short_names(bags: list[str]) -> tuple[list[str], str]:
         folder = os.path.commonpath(folders)
     except ValueError:  # none at all, or some absolute and some not
         return bags, ""
-    return [os.path.relpath(bag, folder) for bag in bags] if folder else bags, folder
+    short = [os.path.relpath(bag, folder) for bag in bags] if folder else bags
+    return short, re.sub(r"^(\w+):/(?!/)", r"\1://", folder)
 
 
 def _largest(values: dict[str, float] | None, axes: Any, factor: float, digits: int) -> str:
@@ -197,27 +251,31 @@ def _parts(parts: Mapping[str, Any]) -> list[str | Table]:
 
 def _phase(result: BagEvaluation, k: int) -> dict[str, Any]:
     phases = result.phases
-    angles = zip(GALEN.turning_names, phases.angles[k].tolist(), strict=True)
+    angles = zip(result.tool.arm.turning_names, phases.angles[k].tolist(), strict=True)
     return {
         "time_s": (int(phases.start_ns[k]) - result.start_ns) * 1e-9,
         "duration_s": int(phases.end_ns[k] - phases.start_ns[k]) * 1e-9,
-        **{f"{name}_rad": angle for name, angle in angles},
+        "angles_rad": dict(angles),
         "residual": by_axis(phases.mean[k]),
         "agrees": bool(result.parts is None or result.parts.used[k]),
     }
 
 
 def _worst(phases: list[dict[str, Any]]) -> Table:
-    angles = GALEN.turning_names
-    made = axes_table(
-        "Worst rest segments", "at (s)", ("for (s)", *(f"{name} (rad)" for name in angles))
-    )
+    names = list(phases[0]["angles_rad"])
+    heads = [f"{name} (rad)" for name in names] if len(names) <= 2 else ["revolute joints (rad)"]
+    made = axes_table("Worst rest segments", "at (s)", ("for (s)", *heads))
     made.add_column("")
     for phase in phases:
+        angles = phase["angles_rad"].values()
         made.add_row(
             f"{phase['time_s']:.1f}",
             f"{phase['duration_s']:.1f}",
-            *(f"{phase[f'{name}_rad']:.3f}" for name in angles),
+            *(
+                [f"{angle:.3f}" for angle in angles]
+                if len(names) <= 2
+                else [" ".join(f"{angle:.2f}" for angle in angles)]
+            ),
             *axis_cells(phase["residual"]),
             "" if phase["agrees"] else "outlier",
         )
@@ -233,7 +291,7 @@ def _stamps(content: Mapping[str, Any]) -> Table:
     for topic, stamps in content.items():
         rate, delay = stamps["rate_hz"], stamps["delay_s"]
         made.add_row(
-            topic,
+            escape(topic),
             str(stamps["messages"]),
             "-" if rate is None else f"{rate:.1f}",
             *(str(stamps[name]) for name in _STAMP_COUNTS),

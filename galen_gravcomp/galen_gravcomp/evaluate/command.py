@@ -5,18 +5,22 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import asdict, replace
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
+from galen_bags.archive import Archive, find_recordings, local_copy, print_summary
 from galen_bags.arrays.arm_recording import ArmTopics
 from galen_bags.arrays.tables import read_motion, read_specific, read_table
 from galen_bags.formats.files import find_bags
-from galen_bags.many import distinct_names, json_rows, run_many
-from galen_model.arm.galen import GALEN
-from galen_model.errors import CalibrationFileError, IdentificationError
+from galen_bags.many import ArchivedRecording, Place, json_rows, name_depth, name_of, run_many
+from galen_model.errors import CalibrationFileError, GalenError, IdentificationError
 from galen_model.evidence.verdict import Limits
 from galen_model.files.calibration_file import calibration_path, read_calibration, write_calibration
 from galen_model.load.mounting.mounting import entities
+from galen_ros.arm import arm_parameters, chosen_arm
 from galen_ros.command import (
     EXIT_FAILED,
     EXIT_OK,
@@ -29,9 +33,10 @@ from galen_ros.command import (
     writing,
 )
 from galen_ros.parameters import from_options
+from rich.markup import escape
 
 from galen_gravcomp.evaluate.bag import BagJob, EvaluationSettings
-from galen_gravcomp.evaluate.bag_report import print_overview
+from galen_gravcomp.evaluate.bag_report import COLUMNS, RESULT_VERSION, print_overview, to_row
 from galen_gravcomp.evaluate.bag_report import report as bag_report
 from galen_gravcomp.evaluate.drift import judge_drift
 from galen_gravcomp.evaluate.drift import report as drift_report
@@ -54,6 +59,8 @@ def _check_options(
         parser.error("one TABLE at a time; bags and tables apart")
     if not (arguments.drift or table) and bool(arguments.tool) == bool(arguments.tool_beside):
         parser.error("bags need --tool FILE or --tool-beside NAME")
+    if arguments.results and (arguments.drift or table):
+        parser.error("--results is for bags")
     if arguments.run and (arguments.drift or not table):
         parser.error("--run needs a TABLE of still poses")
     if arguments.estimate and not table:
@@ -63,17 +70,17 @@ def _check_options(
     low, high = _CELL_LIMITS_S
     if not low <= arguments.cell_s <= high:
         parser.error(f"--cell-s is {arguments.cell_s:g}, but must be {low:g} to {high:g}")
-    if arguments.drift and len(arguments.joint_names.split(",")) != len(GALEN.joints):
-        parser.error(f"--joint-names needs {len(GALEN.joints)} names, separated by commas")
     try:
+        arm_parameters(arguments)
         from_options(arguments, GravcompParameters, NODE_OPTIONS).validate()
-        entities(arguments.estimate)
-    except (ValueError, IdentificationError) as error:
+        if arguments.estimate:
+            entities(arguments.estimate, chosen_arm(arguments))
+    except (ValueError, GalenError) as error:
         parser.error(str(error))
 
 
 def _topics(arguments: argparse.Namespace) -> ArmTopics:
-    names = tuple(arguments.joint_names.split(","))
+    names = tuple(arguments.joint_names.split(",")) if arguments.joint_names else ()
     return ArmTopics(arguments.joint_states, arguments.wrench_raw, names)
 
 
@@ -89,7 +96,8 @@ def _limits(arguments: argparse.Namespace) -> Limits:
 
 
 def _evaluate_drift(arguments: argparse.Namespace) -> Report:
-    tool = None if arguments.tool is None else read_calibration(arguments.tool)
+    arm = chosen_arm(arguments)
+    tool = None if arguments.tool is None else read_calibration(arguments.tool, arm)
     paths: list[Path] = []
     for given in arguments.inputs:
         paths += [given] if given.suffix in TEXT_SUFFIXES else find_bags([given])
@@ -101,15 +109,17 @@ def _evaluate_drift(arguments: argparse.Namespace) -> Report:
             _columns(arguments),
             arguments.cell_s,
             lambda done, total: _show(bar, done, total),
+            arm,
         )
     return drift_report(judge_drift(series, _limits(arguments)), paths[0].resolve().stem)
 
 
 def _evaluate_run(arguments: argparse.Namespace) -> Report:
     still, unit = arguments.inputs[0], arguments.imu_unit_m_s2
-    table = read_table(still, _columns(arguments), arguments.wrench_frame)
+    arm = chosen_arm(arguments)
+    table = read_table(still, _columns(arguments), arguments.wrench_frame, arm)
     wrench, imu, orientations = arguments.run
-    run = read_motion(wrench, imu, orientations, arguments.time_unit_s, unit)
+    run = read_motion(wrench, imu, orientations, arguments.time_unit_s, unit, arm)
     return imu_run_report(table, read_specific(still, unit), run)
 
 
@@ -120,56 +130,77 @@ def _evaluate_table(arguments: argparse.Namespace) -> Report:
             raise CalibrationFileError(f"{written}: a calibration file is named <tool>.json")
         written = calibration_path(written.parent, written.stem)
     check_file(written)
-    table = read_table(arguments.inputs[0], _columns(arguments), arguments.wrench_frame)
+    arm, columns = chosen_arm(arguments), _columns(arguments)
+    table = read_table(arguments.inputs[0], columns, arguments.wrench_frame, arm)
     result = evaluate_table(
         table,
         average_window_s=arguments.average_s,
-        tool=None if arguments.tool is None else read_calibration(arguments.tool),
+        tool=None if arguments.tool is None else read_calibration(arguments.tool, arm),
         mounting=arguments.estimate,
-        bias_drift=arguments.bias_drift,
     )
     found = scores_report(result)
     if written is not None:
+        if result.chosen.fault:
+            raise IdentificationError(result.chosen.fault)
         tool = tool_from_table(written.stem, result.table, result.fit, result.mounted)
         write_calibration(written, tool)
         found.shown.append(f"written: {written}")
     return found
 
 
-def _evaluate_bag(job: BagJob, bag: Path) -> Report:
+def _evaluate_bag(job: BagJob, bag: Place) -> Report:
     with progress(unit="msg") as bar:
         result = job.evaluate(bag, lambda done, total: _show(bar, done, total))
     found = bag_report(result)
-    name = job.names[bag]
+    name = name_of(bag, job.name_parts)
     if job.plots is not None:
-        found.shown.append(f"written: {job.plots / f'{name}_evaluation.png'}")
+        found.shown.append(f"written: {escape(str(job.plots / f'{name}_evaluation.png'))}")
     if job.bags_out is not None:
-        found.shown.append(f"written: {job.bags_out / f'{name}_compensated'}")
+        found.shown.append(f"written: {escape(str(job.bags_out / f'{name}_compensated'))}")
     return found
 
 
 def _evaluate_bags(arguments: argparse.Namespace) -> int:
-    bags = find_bags(arguments.inputs)
     # A cluster's workers have another working directory.
-    place = Path.absolute if arguments.scheduler else Path
-    bags = [place(bag) for bag in bags]
+    local = Path.absolute if arguments.scheduler else Path
+
+    def seen(one: Place) -> Place:
+        return local(one) if isinstance(one, Path) else one
+
+    beside = arguments.tool_beside or ""
+    recordings = find_recordings(
+        [seen(one) for one in arguments.inputs], files=[beside] if beside else ()
+    )
+    bags = [recording.place for recording in recordings]
+    arm = arm_parameters(arguments)
+    if arm.urdf_file:
+        arm = replace(arm, urdf_file=str(local(Path(arm.urdf_file))))
+        arm.arm()  # one message for a wrong file, and not one for each bag
     job = BagJob(
-        tool=Path(arguments.tool_beside) if arguments.tool is None else place(arguments.tool),
-        tool_beside=arguments.tool is None,
+        tool=Path(beside) if beside else seen(arguments.tool),
+        tool_beside=bool(beside),
         settings=EvaluationSettings(
             topics=_topics(arguments),
             start_s=arguments.start_offset,
             duration_s=arguments.duration,
             parameters=from_options(arguments, GravcompParameters, NODE_OPTIONS),
+            arm=arm,
             limits=_limits(arguments),
         ),
-        plots=None if arguments.plots is None else place(arguments.plots),
-        bags_out=None if arguments.write_bags is None else place(arguments.write_bags),
-        names=distinct_names(bags),
+        plots=None if arguments.plots is None else local(arguments.plots),
+        bags_out=None if arguments.write_bags is None else local(arguments.write_bags),
+        name_parts=name_depth(bags),
     )
+    tool_text = b""
     if not job.tool_beside:
-        read_calibration(job.tool)  # one message for a wrong file, and not one for each bag
+        with local_copy(job.tool) as tool:
+            if not tool.is_file():
+                read_calibration(tool)  # likewise; which arm it is for, the bags say
+            tool_text = tool.read_bytes()
     check_folder(job.bags_out)
+    if arguments.results is not None:
+        archive = Archive(job, seen(arguments.results), _known(job, tool_text))
+        return _evaluate_archive(archive, recordings, arguments)
     if len(bags) == 1 and not arguments.scheduler:
         return _give(_evaluate_bag(job, bags[0]), arguments)
     outcomes = run_many(job, bags, scheduler=arguments.scheduler, workers=arguments.workers)
@@ -179,6 +210,28 @@ def _evaluate_bags(arguments: argparse.Namespace) -> int:
     else:
         print_overview(rows, terminal())
     return EXIT_FAILED if any("error" in row for row in rows) else EXIT_OK
+
+
+def _known(job: BagJob, tool_text: bytes) -> dict[str, Any]:
+    """Return what a result depends on beside its bag."""
+    urdf = job.settings.arm.urdf_file
+    return {
+        "evaluate": RESULT_VERSION,
+        "tool": job.tool.name if isinstance(job.tool, Path) else job.tool,
+        "tool_sha256": sha256(tool_text).hexdigest(),
+        "urdf_sha256": sha256(Path(urdf).expanduser().read_bytes() if urdf else b"").hexdigest(),
+        **asdict(job.settings),
+    }
+
+
+def _evaluate_archive(
+    archive: Archive, recordings: Sequence[ArchivedRecording], arguments: argparse.Namespace
+) -> int:
+    summary = archive.run(
+        recordings, COLUMNS, to_row, scheduler=arguments.scheduler, workers=arguments.workers
+    )
+    print_summary(summary, as_json=arguments.json)
+    return EXIT_FAILED if summary["failed"] else EXIT_OK
 
 
 def _give(found: Report, arguments: argparse.Namespace) -> int:
@@ -202,18 +255,21 @@ def main(args: Sequence[str] | None = None) -> int:
     """Run the command; returns the exit code."""
     parser = build_parser()
     arguments = parser.parse_args(args)
-    table = any(path.suffix in TEXT_SUFFIXES for path in arguments.inputs)
+    table = any(Path(one).suffix in TEXT_SUFFIXES for one in arguments.inputs)
     _check_options(parser, arguments, table)
 
     def work() -> int:
         check_folder(arguments.plots)
-        if arguments.drift:
-            return _give(_evaluate_drift(arguments), arguments)
-        if arguments.run:
-            return _give(_evaluate_run(arguments), arguments)
-        if table:
-            return _give(_evaluate_table(arguments), arguments)
-        return _evaluate_bags(arguments)
+        if not (arguments.drift or table):
+            return _evaluate_bags(arguments)
+        with ExitStack() as copies:
+            arguments.inputs = [copies.enter_context(local_copy(one)) for one in arguments.inputs]
+            if arguments.tool is not None:
+                arguments.tool = copies.enter_context(local_copy(arguments.tool))
+            if arguments.drift:
+                return _give(_evaluate_drift(arguments), arguments)
+            evaluate = _evaluate_run if arguments.run else _evaluate_table
+            return _give(evaluate(arguments), arguments)
 
     return run_command("evaluate", work)
 

@@ -29,6 +29,7 @@ from galen_bags.arrays.arm_recording import (
 )
 from galen_bags.arrays.tables import read_text_table
 from galen_bags.formats.bag import Bag, open_bag
+from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN, WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
@@ -49,7 +50,6 @@ _POSE_RAD = 2e-3
 _FEWEST_CELLS = 60
 _FEWEST_IN_CELL = 10
 _MOST_CELLS = 5_000_000  # 58 days of seconds, 2 GB
-_ANGLES = len(GALEN.turning)
 _MOST_TABLE_S = 1e9  # of nanoseconds that int64 holds
 OnProgress = Callable[[int, int | None], None]
 TEXT_SUFFIXES = (".csv", ".txt", ".tsv", ".dat")
@@ -96,16 +96,17 @@ def read_series(
     columns: Sequence[str] | None = None,
     cell_s: float = CELL_S,
     on_progress: OnProgress | None = None,
+    arm: Arm = GALEN,
 ) -> DriftSeries:
     """Read bags, or tables of t, fx ... tz, on one clock. Raises GalenError."""
     wrenches, joints = CellReducer(cell_s), CellReducer(cell_s)
     for path in paths:
         if path.suffix in TEXT_SUFFIXES:
             stamp_ns, wrench = _table(path, columns)
-            wrenches.add(stamp_ns, wrench, np.zeros((len(wrench), _ANGLES)))
+            wrenches.add(stamp_ns, wrench, np.zeros((len(wrench), len(arm.turning))))
         else:
             with open_bag(path) as bag:
-                _read_bag(bag, topics, wrenches, joints, on_progress)
+                _read_bag(bag, topics, wrenches, joints, on_progress, arm)
     cells = wrenches.finish()
     name = ", ".join(str(path) for path in paths)
     if not len(cells):
@@ -132,6 +133,7 @@ def _read_bag(
     wrenches: CellReducer,
     joints: CellReducer,
     on_progress: OnProgress | None,
+    arm: Arm,
 ) -> None:
     names = [find_topic(bag, topics.wrench_raw, WRENCH_TYPE)]
     with contextlib.suppress(BagError):  # a sensor on a table has no joints
@@ -139,20 +141,23 @@ def _read_bag(
     counts = [bag.topics[name].count for name in names]
     total = None if None in counts else sum(count or 0 for count in counts)
     decoder = Decoder(WRENCH_TYPE)
-    turning = [topics.joint_names[k] for k in GALEN.turning]
+    named, count = topics.joint_names or arm.joint_names, len(arm.turning)
+    if len(named) != len(arm.joints):
+        raise GalenError(f"{len(named)} joint names; the arm has {len(arm.joints)} joints")
+    turning = [named[k] for k in arm.turning]
     angles = Decoder(JOINT_STATE_TYPE, turning, required=turning)
     done = 0
     for block in bag.blocks(names):
         found = decoder.decode(block, np.flatnonzero(block.topic == 0))
         good = np.asarray(np.isfinite(found.values).all(axis=1))
         good[list(found.bad)] = False
-        none = np.zeros((int(good.sum()), _ANGLES))
+        none = np.zeros((int(good.sum()), count))
         wrenches.add(found.stamp_ns[good], found.values[good], none)
         if len(names) > 1:
             turned = angles.decode(block, np.flatnonzero(block.topic == 1))
-            good = np.asarray(np.isfinite(turned.values[:, :_ANGLES]).all(axis=1))
+            good = np.asarray(np.isfinite(turned.values[:, :count]).all(axis=1))
             good[list(turned.bad)] = False
-            place = turned.values[good][:, :_ANGLES]
+            place = turned.values[good][:, :count]
             joints.add(turned.stamp_ns[good], np.zeros((len(place), 6)), place)
         done += len(block.topic)
         if on_progress is not None:
@@ -177,7 +182,7 @@ def series_of(name: str, cells: Cells, joints: Cells, tool: CalibrationFile | No
     reading[row] = cells.mean
     scatter[row] = np.sqrt(cells.squares / np.maximum(cells.count - 1, 1)[:, None])
     scatter[row[cells.count < _FEWEST_IN_CELL]] = np.nan  # would say little
-    angles = np.full((count, _ANGLES), np.nan)
+    angles = np.full((count, joints.angles.shape[1]), np.nan)
     if len(joints):
         place = joints.start_ns // cell_ns - first
         inside = (place >= 0) & (place < count) & (joints.spans <= _POSE_RAD).all(axis=1)

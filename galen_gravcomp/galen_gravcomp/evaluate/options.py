@@ -5,12 +5,15 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from galen_bags.archive import add_results, place
 from galen_bags.arrays.arm_recording import ArmTopics
-from galen_model.arm.galen import GALEN, GRAVITY_M_S2
+from galen_model.arm.galen import GRAVITY_M_S2
 from galen_model.evidence.verdict import Limits
+from galen_ros.arm import add_arm
 from galen_ros.command import (
     add_json,
     add_plots,
+    add_table_columns,
     add_tool_file,
     add_topic,
     add_workers,
@@ -49,8 +52,14 @@ def build_parser() -> argparse.ArgumentParser:
         failed="an input can't be used; a line gives the reason. Of many bags, the others were"
         " evaluated",
     )
-    parser.add_argument("inputs", nargs="+", type=Path, metavar="INPUT", help="bags or tables")
-    add_tool_file(parser, "the calibration file; with a table optional, scored beside")
+    parser.add_argument(
+        "inputs",
+        nargs="+",
+        type=place,
+        metavar="INPUT",
+        help="bags or tables: paths, or URLs (s3://, gs://, az://, https://)",
+    )
+    add_tool_file(parser, "the calibration file; with a table optional, scored beside").type = place
     add_plots(parser)
     add_json(parser)
     for unit, metavar, default in (
@@ -65,6 +74,7 @@ def build_parser() -> argparse.ArgumentParser:
             help="a file fits if no axis has a larger RMSE over the rest segments; with --drift:"
             " how far a tare may be off (1 sigma; default: %(default)s)",
         )
+    add_arm(parser)
     _add_bag_options(parser.add_argument_group("bags"))
     _add_table_options(parser.add_argument_group("tables"))
     _add_drift_options(parser.add_argument_group("long recordings without contact"))
@@ -82,9 +92,9 @@ def _add_bag_options(group: argparse._ArgumentGroup) -> None:
     add_topic(group, "--wrench-raw", topics.wrench_raw, "the raw wrench")
     group.add_argument(
         "--joint-names",
-        default=",".join(GALEN.joint_names),
         metavar="NAMES",
-        help="names of the joints; only the revolute ones must be there (default: %(default)s)",
+        help="names of the joints, by commas; only the revolute ones must be there (default: the"
+        " arm's)",
     )
     group.add_argument(
         "--start-offset",
@@ -103,33 +113,17 @@ def _add_bag_options(group: argparse._ArgumentGroup) -> None:
         type=Path,
         help="write each bag with wrench_compensated in it as DIR/<name>_compensated",
     )
+    add_results(group)
     add_workers(group)
 
 
 def _add_table_options(group: argparse._ArgumentGroup) -> None:
-    group.add_argument(
-        "--columns",
-        metavar="NAMES",
-        help="comma-separated column names of a file without a first line of names; "
-        "'-' for a column to skip",
-    )
-    group.add_argument(
-        "--wrench-frame",
-        choices=("sensor", "base"),
-        default="sensor",
-        help="axes that the file's wrenches are written in (default: sensor)",
-    )
+    add_table_columns(group)
     group.add_argument(
         "--average-s",
         type=positive,
         metavar="SECONDS",
         help="the table is a recording: find its rest segments and average this long within them",
-    )
-    group.add_argument(
-        "--bias-drift",
-        action="store_true",
-        help="beside the others, a model whose offset may drift, in the order of the readings; its"
-        " shape is chosen by blocks, within what is not held out (takes some seconds a block)",
     )
     group.add_argument(
         "--estimate",

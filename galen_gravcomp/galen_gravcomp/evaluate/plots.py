@@ -10,7 +10,7 @@ import matplotlib
 matplotlib.use("Agg")  # a lab's machine over ssh has no display
 import matplotlib.pyplot as plt
 import numpy as np
-from galen_model.arm.galen import GALEN, WRENCH_AXES
+from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.files.atomic_file import save_figure
 from matplotlib.axes import Axes
@@ -78,19 +78,33 @@ def _course(axes: Axes, result: BagEvaluation, which: slice, factor: float, unit
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncol=3, frameon=False)
 
 
+def _places(result: BagEvaluation) -> tuple[Array, tuple[str, str]]:
+    """Where the rest segments lie (n, 2), and what that is: two angles, or where gravity points."""
+    arm = result.tool.arm
+    angles = result.phases.angles.reshape(-1, len(arm.turning))
+    if len(arm.turning) == 2:
+        first, second = arm.turning_names
+        return angles, (f"{first}, rad", f"{second}, rad")
+    x, y, z = np.moveaxis(arm.gravity_in_sensor(angles), -1, 0)
+    places = np.column_stack([np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))])
+    names = ("azimuth", "elevation over its x-y plane")
+    return places, (f"gravity in {arm.sensor_frame}: {names[0]}, rad", f"{names[1]}, rad")
+
+
 def _poses(axes: Axes, result: BagEvaluation, which: slice, factor: float, label: str) -> None:
-    axes.set_xlabel(f"{GALEN.turning_names[0]}, rad")
-    axes.set_ylabel(f"{GALEN.turning_names[-1]}, rad")
+    places, names = _places(result)
+    axes.set_xlabel(names[0])
+    axes.set_ylabel(names[1])
     axes.set_title(f"rest segments: {label}", fontsize=10)
     if not len(result.phases):
         axes.text(0.5, 0.5, "no rest segment", ha="center", transform=axes.transAxes)
         return
     size: Array = factor * np.linalg.norm(result.phases.mean[:, which], axis=1)
     order = np.argsort(size)  # so that the largest lies on top
-    size, angles = size[order], result.phases.angles[order]
+    size, places = size[order], places[order]
     top = max(float(size.max()), factor * float(result.limits.axes[which.start]))
     points = axes.scatter(
-        angles[:, 0], angles[:, -1], c=size, cmap="viridis", vmin=0.0, vmax=top, s=40,
+        places[:, 0], places[:, 1], c=size, cmap="viridis", vmin=0.0, vmax=top, s=40,
         edgecolors="black", linewidths=0.4,
     )  # fmt: skip
     axes.figure.colorbar(points, ax=axes)

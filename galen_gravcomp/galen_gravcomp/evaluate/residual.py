@@ -19,7 +19,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from galen_model.arm.galen import GALEN, GRAVITY_M_S2
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_sf
 from galen_model.errors import IdentificationError, NotExcitedError
@@ -133,8 +132,8 @@ def decompose(
 
 def _gravity(phases: StillPhases, tool: CalibrationFile) -> Array:
     """Gravity (n, 3) in the sensor's frame, m/s^2, as large as the tool's file has it."""
-    gravity = GALEN.gravity_in_sensor(phases.angles)
-    return np.asarray(gravity * (tool.gravity_m_s2[2] / GRAVITY_M_S2[2]))
+    size = np.linalg.norm(tool.gravity_m_s2) / np.linalg.norm(tool.arm.gravity_m_s2)
+    return np.asarray(tool.arm.gravity_in_sensor(phases.angles) * size)
 
 
 def _parts(

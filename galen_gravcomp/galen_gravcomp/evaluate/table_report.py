@@ -46,16 +46,14 @@ def _content(result: TableEvaluation) -> dict[str, Any]:
             for split, models in result.scores.items()
         },
     }
-    drifting = result.drifting
-    if drifting is not None and drifting.choice is not None:
-        content["drifting_bias"] = {
-            "force": str(drifting.choice.shapes[0]),
-            "torque": str(drifting.choice.shapes[1]),
-            "mass_kg": drifting.load.mass_kg,
-            "mass_std_kg": drifting.load.mass_std_kg,
-            "com_m": drifting.load.com_m.tolist(),
-            "offset_at_end": drifting.bias_end.tolist(),
-        }
+    chosen = result.chosen
+    content["chosen"] = {
+        "force": chosen.names[0],
+        "torque": chosen.names[1],
+        "model": chosen.words,
+        "reason": chosen.reason,
+        "rmse": {name: by_axis(score) for name, score in (chosen.scores or {}).items()},
+    }
     if result.mounted is not None:
         load, worth = result.mounted.single.load, result.worth
         content["mounted"] = result.mounted.mounting.to_json() | {
@@ -70,7 +68,6 @@ def _content(result: TableEvaluation) -> dict[str, Any]:
 
 
 def _shown(result: TableEvaluation) -> list[str | Table]:
-    load = result.fit.load
     source = f"{result.source_rows} rows"
     if result.phases is not None:
         source += f", {len(result.table)} averages in {result.phases} rest segments"
@@ -78,13 +75,7 @@ def _shown(result: TableEvaluation) -> list[str | Table]:
         f"[bold]{result.table.path}[/bold]: {source}; orientation from {result.table.orientation}",
         _load_table(result),
     ]
-    if result.drifting is not None:
-        drifting = result.drifting.load
-        shown.append(
-            f"offset over the readings, chosen by held-out blocks: {result.drifting.choice};"
-            f" with it {drifting.mass_kg * 1e3:.2f} ± {drifting.mass_std_kg * 1e3:.2f} g, weight"
-            f" {(drifting.mass_kg / load.mass_kg - 1.0) * 100.0:+.2f} %"
-        )
+    shown.append(f"chosen: {result.chosen.words}; {result.chosen.reason}")
     shown.append(_score_table(result))
     for split, models in result.scores.items():
         for name, score in models.items():

@@ -11,12 +11,11 @@ from functools import partial
 
 import numpy as np
 from galen_bags.arrays.tables import OrientationTable, average_still
-from galen_model.arm.galen import GRAVITY_M_S2
 from galen_model.arrays import Array
 from galen_model.errors import GalenError, IdentificationError
 from galen_model.evidence.block_gain import MOUNTED, PLAIN, ROBUST, Worth, compare
 from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
-from galen_model.load.drifting_identification import DriftingLoad, identify_drifting_load
+from galen_model.load.choice import ChosenLoad, choose_load, refit
 from galen_model.load.identification import SingleLoad, identify_single_load, plain_least_squares
 from galen_model.load.model import gravity_regressor
 from galen_model.load.mounting.identification import MountedLoad, identify_single_load_mounted
@@ -24,7 +23,7 @@ from galen_model.rest.segments import DirectionRest
 
 _FEWEST_READINGS = 4
 _MOST_LEFT_OUT_ONE_BY_ONE = 200  # each takes a fit of all others
-_DRIFTING = "galen, drifting bias"
+_CHOSEN = "galen, chosen"
 _UNRESOLVED = (
     "how much of the load is the adapter: all that hangs on the sensor is written as the tool, and"
     " the adapter as nothing; the compensation is not affected",
@@ -54,7 +53,9 @@ def plain_model(known: OrientationTable) -> Predictor:
 
 def identify_mounted(groups: tuple[str, ...], known: OrientationTable) -> MountedLoad:
     """Identify load and mounting groups together. Raises IdentificationError."""
-    return identify_single_load_mounted(known.gravity, known.wrench, groups, known.rotation)
+    return identify_single_load_mounted(
+        known.gravity, known.wrench, groups, known.rotation, arm=known.arm
+    )
 
 
 def mounted_model(groups: tuple[str, ...], known: OrientationTable) -> Predictor:
@@ -63,28 +64,28 @@ def mounted_model(groups: tuple[str, ...], known: OrientationTable) -> Predictor
     return lambda asked: found.predict(asked.gravity, asked.rotation)
 
 
-def identify_drifting(known: OrientationTable) -> DriftingLoad:
-    """Identify the load with a bias that may drift, its shape chosen by blocks.
+def identify_chosen(known: OrientationTable) -> ChosenLoad:
+    """Identify the load by the model that blocks choose: the table's own where it has them.
 
-    The blocks are the table's own where it has them; it has times. Raises IdentificationError.
+    The table has times. Raises IdentificationError.
     """
     assert known.time is not None
-    groups = None
-    if known.block is not None:
-        groups = np.unique(known.block, return_inverse=True)[1]
-    return identify_drifting_load(known.gravity, known.wrench, known.time, groups)
+    groups = None if known.block is None else np.unique(known.block, return_inverse=True)[1]
+    return choose_load(
+        known.gravity, known.wrench, known.time, groups, known.temperature_c, known.arm
+    )
 
 
-def drifting_model(known: OrientationTable) -> Predictor:
-    """Fit a load with a bias that may drift.
+def chosen_model(known: OrientationTable) -> Predictor:
+    """Fit the model that blocks of the known readings choose.
 
-    A held-out block between known readings is bridged by the curve, one at an end extrapolated.
+    A drifting bias bridges a block between known readings, and is extrapolated to one at an end.
     """
-    found = identify_drifting(known)
+    found = identify_chosen(known)
 
     def predict(asked: OrientationTable) -> Array:
         assert asked.time is not None
-        return found.predict(asked.gravity, asked.time)
+        return found.predict(asked.gravity, asked.time, asked.temperature_c)
 
     return predict
 
@@ -134,13 +135,14 @@ class TableEvaluation:
     """Fits and scores of a table; scores by split, then by model.
 
     phases: how many rest segments were averaged, with their scatter (6,); None: it was no
-    recording. mounted, worth: with the mounting groups asked for, and whether they pay; drifting:
-    with a bias that drifts.
+    recording. chosen: the model that blocks choose, and why; fit: its load. mounted, worth: with
+    the mounting groups asked for, and whether they pay.
     """
 
     table: OrientationTable
     source_rows: int
     phases: int | None
+    chosen: ChosenLoad
     fit: SingleLoad
     scores: dict[str, dict[str, HeldOutScore]]
     scatter: Array | None
@@ -149,7 +151,6 @@ class TableEvaluation:
     notes: list[str] = field(default_factory=list)
     mounted: MountedLoad | None = None
     worth: Worth | None = None
-    drifting: DriftingLoad | None = None
 
 
 def evaluate_table(
@@ -157,12 +158,10 @@ def evaluate_table(
     average_window_s: float | None = None,
     tool: CalibrationFile | None = None,
     mounting: tuple[str, ...] = (),
-    bias_drift: bool = False,
 ) -> TableEvaluation:
     """Fit and score every model on a table; raises GalenError naming the obstacle.
 
-    mounting: groups to estimate beside the load, in a model of its own. bias_drift: also a model
-    whose bias may drift, where blocks are held out.
+    mounting: groups to estimate beside the load, in a model of its own.
     """
     source_rows, phases, scatter = len(table), None, None
     if average_window_s is not None:
@@ -184,24 +183,24 @@ def evaluate_table(
         split: {name: cross_validate(table, groups, model) for name, model in models.items()}
         for split, groups in splits.items()
     }
-    drifting = None
-    if bias_drift:
-        for split, groups in splits.items():
-            # A single reading lies between two neighbours that determine any curve.
-            if len(set(groups.tolist())) < len(table):
-                scores[split][_DRIFTING] = cross_validate(table, groups, drifting_model)
-        try:
-            drifting = identify_drifting(table.timed())
-        except IdentificationError as error:
-            notes.append(f"with a bias that drifts: {error}")
-    fit = identify_single_load(table.gravity, table.wrench)
+    for split, groups in splits.items():
+        # Not one by one: each choice takes a second.
+        if len(set(groups.tolist())) < len(table):
+            scores[split][_CHOSEN] = cross_validate(table, groups, chosen_model)
+    chosen = identify_chosen(table.timed())
+    fit = chosen.single
+    if chosen.fault:
+        notes.append(f"no model fits: {chosen.fault}")
     if phases is not None and phases > 2:
         # averages within a segment share its error, so the residuals' own covariance is too small
-        fit = replace(fit, load=replace(fit.load, covariance=_jackknife(table, _load_vector)))
+        covariance = _jackknife(table, partial(_load_vector, chosen, table.timed()))
+        fit = replace(fit, load=replace(fit.load, covariance=covariance))
         if mounted is not None:
             mounted = _jackknifed(mounted, mounting, table)
     worth = None
-    if mounted is not None:  # the widest blocks that leave enough to identify the mounting
+    if mounted is None and chosen.mounting is not None:
+        mounted = MountedLoad(fit, chosen.mounting)
+    elif mounted is not None:  # the widest blocks that leave enough to identify the mounting
         found = (_worth(scores[s], splits[s], mounted.single.sigma) for s in reversed(splits))
         worth = next((one for one in found if one is not None), None)
     if not fit.used.all():
@@ -209,8 +208,8 @@ def evaluate_table(
         notes.append(f"the fit on all readings left out reading {rows}: off the common load")
     residuals = None if tool is None else table.wrench - table_prediction(tool, table)
     return TableEvaluation(
-        table, source_rows, phases, fit, scores, scatter, tool, residuals, notes, mounted, worth,
-        drifting,
+        table, source_rows, phases, chosen, fit, scores, scatter, tool, residuals, notes, mounted,
+        worth,
     )  # fmt: skip
 
 
@@ -252,8 +251,11 @@ def _worth(scores: dict[str, HeldOutScore], groups: np.ndarray, sigma: Array) ->
     )
 
 
-def _load_vector(table: OrientationTable) -> Array:
-    load = identify_single_load(table.gravity, table.wrench).load
+def _load_vector(chosen: ChosenLoad, table: OrientationTable, rows: np.ndarray) -> Array:
+    assert table.time is not None
+    load = refit(
+        chosen, table.gravity, table.wrench, table.time, rows, table.temperature_c, table.arm
+    ).load
     return np.concatenate([[load.mass_kg], load.com_m])
 
 
@@ -261,8 +263,8 @@ def _jackknifed(
     mounted: MountedLoad, groups: tuple[str, ...], table: OrientationTable
 ) -> MountedLoad:
 
-    def values(known: OrientationTable) -> Array:
-        found = identify_mounted(groups, known)
+    def values(rows: np.ndarray) -> Array:
+        found = identify_mounted(groups, table.take(rows, None))
         load = found.single.load
         return np.concatenate([[load.mass_kg], load.com_m, found.mounting.vector])
 
@@ -274,15 +276,15 @@ def _jackknifed(
     )
 
 
-def _jackknife(table: OrientationTable, estimate: Callable[[OrientationTable], Array]) -> Array:
-    """Covariance (k, k) of what `estimate` (k,) finds, by leaving out each of G blocks.
+def _jackknife(table: OrientationTable, estimate: Callable[[np.ndarray], Array]) -> Array:
+    """Covariance (k, k) of what `estimate` (k,) finds in rows (n,), leaving out each of G blocks.
 
     (G - 1) / G sum (x_g - mean) (x_g - mean)^T: Efron and Tibshirani, *An Introduction to the
     Bootstrap* (1993), eq. (11.5). Raises IdentificationError when a block can't be spared.
     """
     assert table.block is not None
     labels = np.unique(table.block)
-    values = [estimate(table.take(table.block != label, None)) for label in labels]
+    values = [estimate(table.block != label) for label in labels]
     spread = np.array(values) - np.mean(values, axis=0)
     return np.asarray((len(labels) - 1) / len(labels) * spread.T @ spread)
 
@@ -305,7 +307,7 @@ def table_prediction(tool: CalibrationFile, table: OrientationTable) -> Array:
     if table.rotation is None:
         raise GalenError(
             f"{table.path}: {tool.tool} holds an inclination of the base, which needs qx..qw,"
-            " r11..r33 or roll, tilt"
+            f" r11..r33 or {', '.join(table.arm.turning_names)}"
         )
     return tool.predict_under(mounting.turned_gravity(table.gravity, table.rotation))
 
@@ -323,9 +325,10 @@ def tool_from_table(
     if mounted is not None:
         fit, predicted = mounted.single, mounted.predict(table.gravity, table.rotation)
     residuals = (table.wrench - predicted)[fit.used]
-    gravity = GRAVITY_M_S2.copy()
+    gravity = table.arm.gravity_m_s2
     if table.orientation == "gravity":
-        gravity[2] = -np.mean(np.linalg.norm(table.gravity, axis=1))
+        size = np.mean(np.linalg.norm(table.gravity, axis=1))
+        gravity = gravity / np.linalg.norm(gravity) * size
     return CalibrationFile(
         tool=name,
         load=fit.load,
@@ -342,4 +345,5 @@ def tool_from_table(
         gravity_m_s2=gravity,
         unresolved=_UNRESOLVED,
         mounting=None if mounted is None else mounted.mounting,
+        arm=table.arm,
     )

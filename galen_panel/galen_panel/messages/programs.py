@@ -142,15 +142,26 @@ def cannot_start(state: SuiteState, kind: BehaviourKind) -> str:
     return missing(state, kind.value)
 
 
-def before_calibration(state: SuiteState, *, one_sweep: bool, by_hand: bool) -> list[str]:
+def before_calibration(
+    state: SuiteState, *, one_sweep: bool, by_hand: bool, hand_guided: bool = False
+) -> list[str]:
     """List what a person must know before the arm moves: how long, and a clear area."""
+    if hand_guided:
+        return [
+            "The arm is not moved: turn the wrist to many orientations, let go of the tool, and"
+            " keep still at each. The page says which orientation is missing, and when to change"
+            " the tool."
+        ]
     duration_s = (1 if one_sweep else 2) * _sweep_s(state)
     long = (
         f"{CALIBRATION.executable} does not tell how long that takes"
         if math.isnan(duration_s)
         else f"about {texts.duration(duration_s)}"
     )
-    sentences = [f"The arm moves: it goes through its poses, {long}."]
+    # The Galen has a home; another arm begins where it stands.
+    around = state.drawing is not None and state.drawing.arm.delta is None
+    poses = "poses around the one that it has now" if around else "its poses"
+    sentences = [f"The arm moves: it goes through {poses}, {long}."]
     if by_hand:
         sentences.append("It waits for the tool to be removed and put on; that comes on top.")
     return [

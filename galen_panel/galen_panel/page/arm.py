@@ -2,26 +2,30 @@
 
 A part is shapes fixed to a frame, sent once; a placement holds the frames' poses, sent again and
 again: x, y, z (m), a quaternion x, y, z, w, and the length (m) of a part that is stretched along z.
-The straight arm is drawn as the joints say, from joint to joint. The bent one is displaced by the
-deflection, exaggerated: a point moves as the tip's rigid displacement has it, times its share of
-the way from base to tip.
+The straight arm is drawn as the joints say: a link as its description has it, or as a line to the
+next joint where that has no shape. The bent one is displaced by the deflection, exaggerated: a
+point moves as the tip's rigid displacement has it, times its share of the way from base to tip.
 """
 
 from __future__ import annotations
 
 import math
 import time
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from galen_model.arm.arm import Arm
 from galen_model.arrays import Array
+from galen_model.rotation import matrix_to_quaternion, rotvec_to_matrix
 from nicegui import events, ui
 from nicegui.awaitable_response import AwaitableResponse
 from nicegui.elements.scene import Object3D
 
 from galen_panel.history import NS_PER_S, StreamSeries
 from galen_panel.page.page import Page
+from galen_panel.shapes import GREY, Drawing
+from galen_panel.snapshot import SuiteState
 
 Part = dict[str, Any]
 Placement = dict[str, list[float] | None]
@@ -30,8 +34,8 @@ FORCE_M_PER_N = 0.03
 _FORCE_MIN_N = 0.15
 _FORCE_MAX_M = 0.4
 _LINK_RADIUS_M, _TOOL_RADIUS_M, _JOINT_RADIUS_M, _COM_RADIUS_M = 0.015, 0.004, 0.022, 0.012
-_STRAIGHT, _BENT, _JOINT, _COM, _FORCE = "#98a4b0", "#ff8c1a", "#6c7a89", "#2f9e6e", "#e0316f"
-_BENT_OPACITY = 0.6
+_STRAIGHT, _BENT, _JOINT, _COM, _FORCE = GREY, "#ff8c1a", "#6c7a89", "#2f9e6e", "#e0316f"
+_BENT_OPACITY, _GHOST_OPACITY = 0.6, 0.35
 _SHORTEST_M = 1e-4
 _DECIMALS = 5
 """Of places, m, and of quaternions."""
@@ -42,6 +46,8 @@ _ANSWER_S = 10.0
 _NUMBERS_PERIOD_S = 0.5
 _MEAN_S = 0.1
 _STALE_S = 1.0
+_POSES = 300
+"""Of a serial arm, by chance, to see how far it goes."""
 _CAMERA = (1.1, -1.3, 0.6)
 """From the middle of the arm, in sizes of the arm."""
 
@@ -51,11 +57,30 @@ class ArmView:
 
     def __init__(self, page: Page) -> None:
         self._page = page
-        self._arm = arm = page.suite.arm
+        self._drawing: Drawing | None = None
         self._factor = float(FACTOR)
         self._placed: Placement | None = None
         self._numbers_at_s = -math.inf
         self._numbers: dict[str, ui.label] = {}
+        self._problem = (
+            ui.label().classes("panel-note").props("role=status data-testid=arm-problem")
+        )
+        self._place = ui.element("div")
+        page.on_change(self._follow)
+
+    def _follow(self, state: SuiteState) -> None:
+        """Show another arm, and what is wrong with its description."""
+        self._problem.set_text(state.arm_problem)
+        self._problem.set_visibility(bool(state.arm_problem))
+        if state.drawing is self._drawing or state.drawing is None:
+            return
+        self._drawing, self._placed = state.drawing, None
+        self._place.clear()
+        with self._place:
+            self._build(state.drawing)
+
+    def _build(self, drawing: Drawing) -> None:
+        arm = drawing.arm
         with ui.element("div").classes("live-scene"):
             camera = ui.scene.perspective_camera(fov=32, near=0.05, far=20.0)
             self._scene = ui.scene(grid=False, camera=camera, click_events=[])
@@ -65,7 +90,7 @@ class ArmView:
             self._scene.on("init", self._on_init)
             self._told_factor = ui.label().classes("live-factor").props("data-testid=factor")
         with self._scene:
-            self._object = ArmObject(parts(arm))
+            self._object = ArmObject(parts(drawing))
         middle, size_m = middle_and_size(arm)
         x, y, z = (middle + size_m * np.array(_CAMERA)).tolist()
         to_x, to_y, to_z = middle.tolist()
@@ -73,7 +98,12 @@ class ArmView:
         ui.label(
             "Grey: as the joints say. Orange: with the tip's predicted deflection, exaggerated and"
             " spread along the arm. Green ball: the tool's centre of mass. Arrow: the force."
+            if not any(drawing.links)
+            else "Orange: the arm with the tip's predicted deflection, exaggerated and spread along"
+            " it. Green ball: the tool's centre of mass. Arrow: the force."
         )
+        if drawing.note:
+            ui.label(drawing.note).props("data-testid=arm-note").classes("panel-lines")
         with ui.row(wrap=False).classes("items-center w-full"):
             ui.label("Bend shown times").classes("whitespace-nowrap")
             ui.slider(
@@ -85,12 +115,17 @@ class ArmView:
                     with ui.element("th").props("scope=row"):
                         ui.label(row)
                     with ui.element("td"):
-                        self._numbers[row] = ui.label("–").props(f"data-testid=arm-{row}")
+                        self._numbers[row] = number = ui.label("–")
+                        # The names are a description's: no text of properties is made of them.
+                        number.props["data-testid"] = f"arm-{row}"
         self._tell_factor()
 
     async def update(self) -> None:
         """Bring the arm's pose to the browser, and wait until it is there."""
-        history = self._page.suite.history
+        drawing, history = self._drawing, self._page.suite.history
+        if drawing is None:
+            return
+        arm = drawing.arm
         streams = (history.joints, history.deflection, history.compensated)
         now_ns = max((series.newest_ns or 0 for series in streams), default=0)
         joints, deflection, wrench = (
@@ -99,12 +134,12 @@ class ArmView:
         )
         if time.monotonic() - self._numbers_at_s >= _NUMBERS_PERIOD_S:
             self._numbers_at_s = time.monotonic()
-            self._show_numbers(joints, deflection, wrench)
+            self._show_numbers(arm, joints, deflection, wrench)
         active = self._page.suite.state.active_tool
         has_tool = active is not None and bool(active.tool)
         placement = place(
-            self._arm,
-            self._arm.home if joints is None else joints,
+            drawing,
+            arm.home if joints is None else joints,
             np.array(active.tip_m) if active is not None and has_tool else np.zeros(3),
             np.array(active.com_m) if active is not None and has_tool else None,
             None if deflection is None else self._factor * deflection,
@@ -132,11 +167,11 @@ class ArmView:
         self._told_factor.set_text(f"Bend × {self._factor:.0f}")
 
     def _show_numbers(
-        self, joints: Array | None, deflection: Array | None, wrench: Array | None
+        self, arm: Arm, joints: Array | None, deflection: Array | None, wrench: Array | None
     ) -> None:
         texts = dict.fromkeys(self._numbers, "–")
         if joints is not None:
-            for joint, value in zip(self._arm.joints, joints.tolist(), strict=True):
+            for joint, value in zip(arm.joints, joints.tolist(), strict=True):
                 turns = joint.kind == "revolute"
                 shown = f"{math.degrees(value):.2f}°" if turns else f"{1e3 * value:.1f} mm"
                 texts[joint.name] = shown
@@ -169,21 +204,28 @@ class ArmObject(Object3D, component="arm_object.js"):
         return self.run_method("place", placement, timeout=timeout_s)
 
 
-def parts(arm: Arm) -> list[Part]:
+def parts(drawing: Drawing) -> list[Part]:
     """List all parts: name and shapes, each with kind, sizes (m), place, colour, opacity."""
-    pieces = len(arm.joints) + 2
     found = []
-    for piece in range(pieces):
-        radius = _TOOL_RADIUS_M if piece == pieces - 1 else _LINK_RADIUS_M
-        found.append(_part(f"straight/{piece}", "cylinder", [radius, 1.0], _STRAIGHT))
-        found.append(_part(f"bent/{piece}", "cylinder", [radius, 1.0], _BENT, _BENT_OPACITY))
-    found += [_part(f"joint/{k}", "sphere", [_JOINT_RADIUS_M], _JOINT) for k in arm.turning]
+    # The last piece is the tool, from sensor to tip.
+    for piece, shapes in enumerate([*drawing.links, ()]):
+        if shapes:
+            ghosts = [shape | {"colour": _BENT, "opacity": _GHOST_OPACITY} for shape in shapes]
+            found.append({"name": f"straight/{piece}", "shapes": list(shapes)})
+            found.append({"name": f"bent/{piece}", "shapes": ghosts})
+        else:
+            radius = _TOOL_RADIUS_M if piece == len(drawing.links) else _LINK_RADIUS_M
+            found.append(_part(f"straight/{piece}", "cylinder", [radius, 1.0], _STRAIGHT))
+            found.append(_part(f"bent/{piece}", "cylinder", [radius, 1.0], _BENT, _BENT_OPACITY))
+    found += [
+        _part(f"joint/{k}", "sphere", [_JOINT_RADIUS_M], _JOINT) for k in _bare_joints(drawing)
+    ]
     found.append(_part("com", "sphere", [_COM_RADIUS_M], _COM))
     return [*found, _part("force", "arrow", [0.006, 0.018], _FORCE)]
 
 
 def place(
-    arm: Arm,
+    drawing: Drawing,
     joints: Array,
     tip_m: Array,
     com_m: Array | None,
@@ -196,43 +238,82 @@ def place(
     deflection (6,) of the tip in the base's frame, m and rad, as it is to be shown. None where
     there is none.
     """
+    arm = drawing.arm
     rotation, sensor = arm.sensor_pose(joints)
     origins, _ = arm.joint_axes(joints)
     tip = sensor + rotation @ tip_m
     # Base, joints, sensor, tip: the last piece between two of them is the tool.
     points = np.vstack([np.zeros(3), origins, sensor, tip])
-    bent = None if deflection is None else _bent(points, deflection)
-    placed: Placement = {}
-    for name, chain in (("straight", points), ("bent", bent)):
-        for piece in range(len(points) - 1):
-            ends = None if chain is None else _between(*chain[piece : piece + 2].tolist())
-            placed[f"{name}/{piece}"] = ends
-    for k in arm.turning:
+    links = drawing.link_places(joints) if any(drawing.links) else []
+    still = np.zeros_like(points)
+    placed: Placement = dict(_pieces("straight", drawing, links, points, still))
+    if deflection is None:
+        bent = points
+        placed |= dict.fromkeys(name.replace("straight", "bent") for name in placed)
+    else:
+        shares = _shares(points)[:, None]
+        bent = points + shares * (deflection[:3] + np.cross(deflection[3:], points - tip))
+        placed |= _pieces("bent", drawing, links, bent, shares * deflection[3:])
+        if drawing.links[0]:
+            # The base stays where it is: a bent one would only cover it.
+            placed["bent/0"] = None
+    for k in _bare_joints(drawing):
         placed[f"joint/{k}"] = _at(origins[k])
     placed["com"] = None if com_m is None else _at(sensor + rotation @ com_m)
     force = np.zeros(3) if wrench is None else rotation @ wrench[:3]
     size_n = float(np.linalg.norm(force))
     placed["force"] = None
     if size_n >= _FORCE_MIN_N:
-        end = (tip if bent is None else bent[-1]).tolist()
         length_m = min(FORCE_M_PER_N * size_n, _FORCE_MAX_M)
-        placed["force"] = _rounded([*end, *_turn_of_z((force / size_n).tolist()), length_m])
+        placed["force"] = _rounded(
+            [*bent[-1].tolist(), *_turn_of_z((force / size_n).tolist()), length_m]
+        )
     return placed
 
 
 def middle_and_size(arm: Arm) -> tuple[Array, float]:
-    """Return the middle (3,) and the size of what the arm takes up at home, m."""
-    origins, _ = arm.joint_axes(arm.home)
-    points = np.vstack([np.zeros(3), origins, arm.sensor_pose(arm.home)[1]])
+    """Return the middle (3,) and the size of what is to be seen, m.
+
+    Of an arm on rods what it takes up at home; a serial arm goes wherever its limits let it.
+    """
+    joints = arm.home[None]
+    if arm.delta is None:
+        rng = np.random.default_rng(0)
+        low, high = np.clip([arm.lower, arm.upper], -np.pi, np.pi)
+        joints = rng.uniform(low, high, (_POSES, len(arm.joints)))
+    origins, _ = arm.joint_axes(joints)
+    points = np.concatenate([origins.reshape(-1, 3), arm.sensor_pose(joints)[1], np.zeros((1, 3))])
     low, high = points.min(axis=0), points.max(axis=0)
-    return (low + high) / 2.0, float(np.linalg.norm(high - low))
+    # What is nearer to the camera than the middle takes more of the picture.
+    size_m = np.linalg.norm(high - low) if arm.delta is not None else 1.2 * np.max(high - low)
+    return (low + high) / 2.0, max(float(size_m), _SHORTEST_M)
 
 
-def _bent(points: Array, deflection: Array) -> Array:
-    """Points (n, 3) from base to tip, displaced by shares of the tip's twist (6,)."""
+def _pieces(
+    name: str,
+    drawing: Drawing,
+    links: list[tuple[Array, Array]],
+    points: Array,
+    turned: Array,
+) -> Iterator[tuple[str, list[float] | None]]:
+    """Yield each piece and its place: a link turned by (3,) at its point, or a line to the next."""
+    for piece, shapes in enumerate([*drawing.links, ()]):
+        if shapes:
+            turn = rotvec_to_matrix(turned[piece])
+            yield f"{name}/{piece}", _pose(turn @ links[piece][0], points[piece])
+        else:
+            yield f"{name}/{piece}", _between(*points[piece : piece + 2].tolist())
+
+
+def _bare_joints(drawing: Drawing) -> list[int]:
+    """Places of the revolute joints whose link is drawn as a line."""
+    return [k for k in drawing.arm.turning if not drawing.links[k + 1]]
+
+
+def _shares(points: Array) -> Array:
+    """Share (n,) of the way from base to tip at points (n, 3)."""
     way = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))]
-    moved = deflection[:3] + np.cross(deflection[3:], points - points[-1])
-    return np.asarray(points + (way / max(way[-1], _SHORTEST_M))[:, None] * moved)
+    return np.asarray(way / max(way[-1], _SHORTEST_M))
 
 
 def _part(name: str, kind: str, sizes: list[float], colour: str, opacity: float = 1.0) -> Part:
@@ -249,6 +330,10 @@ def _between(start_m: list[float], end_m: list[float]) -> list[float] | None:
     direction = [(end - start) / length_m for start, end in zip(start_m, end_m, strict=True)]
     middle = [(start + end) / 2.0 for start, end in zip(start_m, end_m, strict=True)]
     return _rounded([*middle, *_turn_of_z(direction), length_m])
+
+
+def _pose(rotation: Array, origin_m: Array) -> list[float]:
+    return _rounded([*origin_m.tolist(), *matrix_to_quaternion(rotation).tolist()])
 
 
 def _at(point_m: Array) -> list[float]:

@@ -1,17 +1,30 @@
-import { THREE } from "nicegui-scene";
+import { STLLoader, THREE } from "nicegui-scene";
 
 // The arm: each part is a group with shapes fixed to it, and only the groups are moved.
 export default class ArmObject {
   create_mesh(parts) {
     this.mesh = new THREE.Group();
     this.groups = new Map();
+    this.meshes = new Map(); // url -> objects that wait for its triangles
     for (const part of parts) {
       const group = new THREE.Group();
-      for (const shape of part.shapes) group.add(drawn(shape));
+      for (const shape of part.shapes) group.add(drawn(shape, this.meshes));
       this.groups.set(part.name, group);
       this.mesh.add(group);
     }
+    this.load();
     return this.mesh;
+  }
+
+  // One after the other: the panel answers few requests of an address at a time.
+  async load() {
+    const loader = new STLLoader();
+    for (const [url, objects] of this.meshes) {
+      const geometry = await loader.loadAsync(window.path_prefix + url);
+      geometry.computeVertexNormals();
+      for (const object of objects) object.geometry = geometry;
+    }
+    this.mesh.userData.loaded = this.meshes.size;
   }
 
   // Answers true when it has been drawn, so that a slow browser is not sent more than it can show.
@@ -35,7 +48,7 @@ function put(object, place) {
   object.quaternion.set(place[3], place[4], place[5], place[6]);
 }
 
-function drawn(shape) {
+function drawn(shape, meshes) {
   const material = new THREE.MeshPhongMaterial({
     color: shape.colour,
     transparent: shape.opacity < 1,
@@ -44,11 +57,17 @@ function drawn(shape) {
   });
   const object = new THREE.Group();
   for (const geometry of geometries(shape)) object.add(new THREE.Mesh(geometry, material));
+  if (shape.kind === "mesh") {
+    const mesh = new THREE.Mesh(new THREE.BufferGeometry(), material);
+    meshes.set(shape.url, [...(meshes.get(shape.url) ?? []), mesh]);
+    object.add(mesh);
+  }
   put(object, shape.place);
   return object;
 }
 
 function geometries({ kind, sizes }) {
+  if (kind === "mesh") return [];
   if (kind === "sphere") return [new THREE.SphereGeometry(sizes[0], 24, 16)];
   if (kind === "box") return [new THREE.BoxGeometry(...sizes)];
   // three.js has the axes of cylinders along y, URDF along z.

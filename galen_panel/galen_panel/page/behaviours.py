@@ -208,6 +208,8 @@ class CalibrationOptions:
         self._can_choose = True
         self._by_hand = ui.switch("A person takes the tool off and puts it on")
         self._by_hand.props(f"data-testid={name}-by-hand")
+        self._guided = ui.switch("An operator moves the arm, by freedrive or pendant")
+        self._guided.props(f"data-testid={name}-hand-guided")
         self._one_sweep = ui.switch("One sweep only, with the tool on")
         self._one_sweep.props(f"data-testid={name}-one-sweep")
         ui.label(
@@ -243,12 +245,16 @@ class CalibrationOptions:
             tip_m=tuple(1e-3 * float(value) for value in values) if all(given) else None,
             one_sweep=bool(self._one_sweep.value),
             by_hand=bool(self._by_hand.value),
+            hand_guided=bool(self._guided.value),
         )
 
     def before(self, state: SuiteState) -> list[str]:
         """List what a person must know before the arm moves."""
         return programs.before_calibration(
-            state, one_sweep=bool(self._one_sweep.value), by_hand=bool(self._by_hand.value)
+            state,
+            one_sweep=bool(self._one_sweep.value),
+            by_hand=bool(self._by_hand.value),
+            hand_guided=bool(self._guided.value),
         )
 
     def update(self, state: SuiteState) -> None:
@@ -263,7 +269,10 @@ class CalibrationOptions:
 async def _start_calibration(page: Page, goal: Goal, button: ui.button) -> None:
     """Start it once a person has said that the area is clear."""
     before = programs.before_calibration(
-        page.suite.state, one_sweep=goal.one_sweep, by_hand=goal.by_hand
+        page.suite.state,
+        one_sweep=goal.one_sweep,
+        by_hand=goal.by_hand,
+        hand_guided=goal.hand_guided,
     )
     title = f"Calibrate {goal.tool}?"
     if not await confirmed(page, title, before, AREA_CLEAR, "play_arrow", "primary"):

@@ -144,6 +144,9 @@ class FileNotice:
         torque = texts.norm(_vector(outcome.values, "rmse_torque_nm"))
         text = f"Residual of the averaged readings: {texts.size(force, torque)}."
         ui.label(text).classes("panel-number")
+        if model := outcome.values.get("model"):
+            reason = outcome.values.get("model_reason", "")
+            ui.label(texts.sentence(f"Model: {model} - {reason}"))
         self._beside = ui.column().classes("w-full gap-2").props("data-testid=beside")
         self._fate = ui.label().classes("panel-lead").props("role=status data-testid=fate")
         with ui.row():

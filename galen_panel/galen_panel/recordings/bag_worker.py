@@ -4,7 +4,8 @@ A process of its own, so that what a recording does to it (a crash, want of memo
 alone. Its task is one line of JSON on standard input, its progress are lines of JSON on standard
 output. It ends when standard input is closed: then the panel is gone.
 
-    {"kind": "evaluate", "recording": PATH, "tool": PATH or null, "output": PATH}
+    {"kind": "evaluate", "recording": PATH, "tool": PATH or null, "output": PATH,
+     "arm": {"urdf": TEXT, "base_frame": ..., "sensor_frame": ..., "gravity_m_s2": [...]}}
     {"stage": "reading", "share": 0.4}     share: null where unknown
     {"error": "a sentence"}                the last line, where it failed
     {"verdict": "fits", "sentence": "..."} the last line, where it is done
@@ -52,7 +53,8 @@ def main() -> int:
     try:
         job = {"evaluate": evaluate, "diagnose": diagnose}[request["kind"]]
         tool = None if request["tool"] is None else Path(request["tool"])
-        result = job(Path(request["recording"]), tool, Path(request["output"]), tell.progress)
+        places = Path(request["recording"]), tool, Path(request["output"])
+        result = job(*places, request["arm"], tell.progress)
     except GalenError as error:
         tell.line({"error": str(error)})
         return 1
@@ -67,16 +69,33 @@ def main() -> int:
 
 
 def evaluate(
-    recording: Path, tool: Path | None, output: Path, on_progress: OnProgress
+    recording: Path,
+    tool: Path | None,
+    output: Path,
+    arm: dict[str, Any],
+    on_progress: OnProgress,
 ) -> dict[str, Any]:
     """Do as the command `evaluate`; writes its JSON, its picture, and its terminal's report."""
-    from galen_gravcomp.evaluate.bag import BagJob
+    from galen_bags.formats.bag import open_bag, robot_description
+    from galen_gravcomp.evaluate.bag import BagJob, EvaluationSettings
     from galen_gravcomp.evaluate.bag_report import report
+    from galen_ros.arm import ArmParameters
     from rich.console import Console
 
     assert tool is not None
     on_progress("reading", None)
-    job = BagJob(tool=tool, plots=output)
+    with open_bag(recording) as bag:
+        own = robot_description(bag)
+    file = output / "arm.urdf"
+    if arm["urdf"] and not own:
+        file.write_text(arm["urdf"], encoding="utf-8")
+    parameters = ArmParameters(
+        urdf_file=str(file) if file.exists() else "",
+        base_frame=arm["base_frame"],
+        sensor_frame=arm["sensor_frame"],
+        gravity_m_s2=tuple(arm["gravity_m_s2"]),
+    )
+    job = BagJob(tool=tool, settings=EvaluationSettings(arm=parameters), plots=output)
 
     def counted(done: int, total: int | None) -> None:
         on_progress("reading", _READ_SHARE * min(1.0, done / total) if total else None)
@@ -94,9 +113,13 @@ def evaluate(
 
 
 def diagnose(
-    recording: Path, tool: Path | None, output: Path, on_progress: OnProgress
+    recording: Path,
+    tool: Path | None,
+    output: Path,
+    _arm: dict[str, Any],
+    on_progress: OnProgress,
 ) -> dict[str, Any]:
-    """Do as the command `diagnose`, with its report."""
+    """Do as the command `diagnose`, with its report; the recording describes its own arm."""
     from galen_diagnosis.diagnose import Job
 
     folders = {recording: output / DIAGNOSIS_FOLDER}

@@ -15,10 +15,12 @@ import sys
 import tempfile
 import threading
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import IO, Any, Literal
 
+from galen_model.arm.arm import Arm
+from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError, one_line
 
 from galen_panel.recordings.reports import Reports
@@ -36,7 +38,10 @@ JobStage = Literal["waiting", "running", "done", "failed", "canceled"]
 
 @dataclass(frozen=True)
 class Wanted:
-    """A job's task; kind: evaluate or diagnose; recording, tool: names for a person."""
+    """A job's task; kind: evaluate or diagnose; recording, tool: names for a person.
+
+    arm: of a bag that doesn't describe its own.
+    """
 
     kind: str
     recording: str
@@ -44,6 +49,7 @@ class Wanted:
     path: Path
     tool: str
     calibration_path: Path | None
+    arm: Arm = field(default=GALEN, compare=False)
 
 
 @dataclass(frozen=True)
@@ -229,6 +235,13 @@ class Jobs:
             "recording": str(wanted.path.absolute()),
             "tool": tool,
             "output": str(folder.absolute()),
+            "arm": {
+                # The rods of the Galen can't be in a description.
+                "urdf": "" if wanted.arm.delta is not None else wanted.arm.urdf,
+                "base_frame": wanted.arm.base_frame,
+                "sensor_frame": wanted.arm.sensor_frame,
+                "gravity_m_s2": wanted.arm.gravity_m_s2.tolist(),
+            },
         }
         last: Mapping[str, Any] = {}
         watch = threading.Thread(target=self._end_group_with, args=(worker,), daemon=True)

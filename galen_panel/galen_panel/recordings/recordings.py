@@ -10,13 +10,15 @@ import hashlib
 import os
 import re
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
 from galen_bags.formats.files import find_bags, read_metadata, storage_files
 from galen_diagnosis.observation.rows import BAGS
+from galen_model.arm.arm import Arm
+from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError, one_line
 from galen_model.files.calibration_store import CalibrationStore
 
@@ -78,7 +80,15 @@ class ToolChoice:
 class Recordings:
     """Finds bags below a directory, evaluates and diagnoses them; used from several threads."""
 
-    def __init__(self, bags_dir: Path, tools_dir: Path, output_dir: Path) -> None:
+    def __init__(
+        self,
+        bags_dir: Path,
+        tools_dir: Path,
+        output_dir: Path,
+        arm: Callable[[], Arm] = lambda: GALEN,
+    ) -> None:
+        """`arm()`: of the calibration files, and of recordings that don't describe theirs."""
+        self._arm = arm
         self.bags_dir, self.tools_dir = bags_dir, tools_dir
         self.problem = ""
         self.reports = Reports(output_dir)
@@ -119,7 +129,7 @@ class Recordings:
         recording = self._get(recording_id)
         if recording is None:
             return []
-        return tool_choices(recording, self.bags_dir, self.tools_dir)
+        return tool_choices(recording, self.bags_dir, self.tools_dir, self._arm())
 
     def start(self, recording_id: str, tool_id: str) -> CallAnswer:
         """Evaluate a bag, diagnose a diagnosis recording; ids as they were given to the browser."""
@@ -143,6 +153,7 @@ class Recordings:
                 path=recording.path,
                 tool=tool.label,
                 calibration_path=None if own else tool.path,
+                arm=self._arm(),
             )
         )
 
@@ -191,8 +202,10 @@ def leads_out(path: Path, root: Path) -> bool:
         return True
 
 
-def tool_choices(recording: FoundRecording, bags_dir: Path, tools_dir: Path) -> list[ToolChoice]:
-    """List usable calibration files: beside the recording, then of the two directories."""
+def tool_choices(
+    recording: FoundRecording, bags_dir: Path, tools_dir: Path, arm: Arm = GALEN
+) -> list[ToolChoice]:
+    """List an arm's usable files: beside the recording, then of the two directories."""
     choices = []
     folder = recording.path if recording.path.is_dir() else recording.path.parent
     root = bags_dir.resolve()
@@ -201,8 +214,8 @@ def tool_choices(recording: FoundRecording, bags_dir: Path, tools_dir: Path) -> 
         if beside.is_file() and not leads_out(beside, root):
             choices.append(ToolChoice(BESIDE, f"{TOOL_BESIDE} beside the recording", beside))
             break
-    stores = {"tools": CalibrationStore(tools_dir)}
-    of_bags = CalibrationStore(bags_dir / _TOOLS_OF_BAGS)
+    stores = {"tools": CalibrationStore(tools_dir, arm)}
+    of_bags = CalibrationStore(bags_dir / _TOOLS_OF_BAGS, arm)
     same = of_bags.directory.resolve() == stores["tools"].directory.resolve()
     if not same and not leads_out(of_bags.directory, root):
         stores["bags"] = of_bags

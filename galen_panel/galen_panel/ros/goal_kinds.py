@@ -101,7 +101,8 @@ def _calibration(goal: Goal) -> CalibrateTool.Goal:
     return CalibrateTool.Goal(
         tool=check_tool_name(goal.tool),
         one_sweep=goal.one_sweep,
-        attach_by_service=not goal.by_hand,
+        attach_by_service=not (goal.by_hand or goal.hand_guided),
+        by_hand=goal.hand_guided,
         tip_m=tip,
     )
 

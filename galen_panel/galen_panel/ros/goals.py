@@ -330,7 +330,7 @@ class GoalFollower:
         state_name = self._kind.state_name(feedback.state)
         phase = self._kind.phase_text(state_name)
         asked = behaviour.asked if phase == behaviour.phase else None
-        if followed.goal is not None and followed.goal.by_hand:
+        if followed.goal is not None and (followed.goal.by_hand or followed.goal.hand_guided):
             asked = self._kind.asked(state_name)
         rejected = rejected_pose(feedback)
         self._show(

@@ -82,14 +82,14 @@ class _Tap:
 class Streams:
     """Fills a history. `watch` may be called in any thread, all else in the ROS thread."""
 
-    def __init__(self, history: History, context: Context, arm: Arm) -> None:
+    def __init__(self, history: History, context: Context) -> None:
         self._context = context
-        self._taps = (
+        self._history = history
+        self._taps = [
             _Tap("wrench_raw", WrenchStamped, wrench_reader(), history.raw),
             _Tap("wrench_compensated", WrenchStamped, wrench_reader(), history.compensated),
             _Tap("deflection", DeflectionStamped, deflection_reader(), history.deflection),
-            _Tap("joint_states", JointState, JointWire(arm.joint_names).read, history.joints),
-        )
+        ]
         self._watchers = 0
         self._lock = threading.Lock()
         self._node: Node | None = None
@@ -106,6 +106,13 @@ class Streams:
         finally:
             with self._lock:
                 self._watchers -= 1
+
+    def follow(self, arm: Arm) -> None:
+        """Take this arm's joints from now on, once the arm is known."""
+        self._unsubscribe()
+        self._history.follow(arm)
+        read = JointWire(arm.joint_names).read
+        self._taps.append(_Tap("joint_states", JointState, read, self._history.joints))
 
     def tick(self, now_s: float) -> None:
         """Begin or end to listen, and take what has come."""

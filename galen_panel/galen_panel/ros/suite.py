@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import functools
 import itertools
+import threading
 from collections.abc import Callable, Coroutine
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN
-from galen_model.errors import GalenError
+from galen_model.errors import GalenError, one_line
 from galen_model.files.calibration_file import check_tool_name
+from galen_ros.arm import ArmParameters
+from galen_ros.node.parameters import Held
+from galen_ros.node.robot_description import ArmSource
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
@@ -23,6 +27,7 @@ from galen_panel.ros.goal_kinds import KINDS
 from galen_panel.ros.goals import GoalFollower
 from galen_panel.ros.streams import Streams
 from galen_panel.ros.thread import Calls, RosThread
+from galen_panel.shapes import draw
 from galen_panel.snapshot import (
     BehaviourKind,
     CallAnswer,
@@ -59,14 +64,13 @@ def _answered(
 class RosSuite(AbstractContextManager["RosSuite"]):
     """The suite as the page sees it, by a ROS node of its own."""
 
-    def __init__(self, argv: list[str], arm: Arm = GALEN) -> None:
+    def __init__(self, argv: list[str]) -> None:
         """`argv`: the command line, with what is ROS's; raises GalenError."""
         self._board = Board()
-        self.arm = arm
-        self.history = History(arm)
+        self.history = History()
         """The streams' newest samples; it grows only while a page shows them."""
         self._thread = RosThread()
-        self.streams = Streams(self.history, self._thread.context, arm)
+        self.streams = Streams(self.history, self._thread.context)
         self._calls = Calls(self._thread)
         self._thread.start(NODE_NAME, argv, self._set_up, self.streams.close)
 
@@ -80,6 +84,14 @@ class RosSuite(AbstractContextManager["RosSuite"]):
     def _set_up(self, node: Node) -> Callable[[float], None]:
         board, calls = self._board, self._calls
         board.put(namespace=node.get_namespace().strip("/"))
+        self._arm_parameters = Held(node, ArmParameters)
+        self._source = ArmSource(
+            node, self._arm_parameters, self._on_description, "start the panel again to show it"
+        )
+        if self._source.waiting:
+            board.put(arm_problem=f"No arm is shown: {self._source.waiting}")
+        else:
+            self._show_arm()
         presence = Presence(board)
         self._tools = tools = Tools(node, board, calls, presence)
         self._confirm = node.create_client(Trigger, "calibration/confirm")
@@ -108,6 +120,36 @@ class RosSuite(AbstractContextManager["RosSuite"]):
                 follower.tick(now_s)
 
         return on_beat
+
+    def _show_arm(self) -> None:
+        """Show the arm of the parameters, or of the description that came; raises GalenError."""
+        arm = self._source.take()
+        self.streams.follow(arm)
+        self._board.put(drawing=draw(arm, shapes=False), arm_problem="")
+        # This thread has goals to follow meanwhile. It isn't a daemon: what the interpreter's end
+        # would stop inside a library may take the process with it.
+        threading.Thread(target=lambda: self._board.put(drawing=draw(arm)), name="shapes").start()
+
+    def _on_description(self) -> None:
+        try:
+            if self.state.drawing is None:
+                self._show_arm()
+            else:
+                self._board.put(arm_problem=self._difference(self.state.drawing.arm))
+        except GalenError as error:
+            self._board.put(arm_problem=one_line(f"Description not used: {error}"))
+
+    def _difference(self, arm: Arm) -> str:
+        """Say what the topic has otherwise than the arm that is shown; raises GalenError."""
+        parameters = self._arm_parameters.now
+        if parameters.use_robot_description:
+            return one_line(self._source.trouble)
+        other = replace(parameters, urdf_file="").arm(self._source.text)
+        found = arm.difference(other)
+        return found and one_line(
+            f"The arm {arm.name} is shown, but robot_description has {other.name}: {found}. To"
+            " show that one, start the panel again with use_robot_description:=true."
+        )
 
     @property
     def state(self) -> SuiteState:

@@ -18,12 +18,13 @@ The way, in this order (`replay.py`, `plant.py`):
 8. `seen`, `base_marker`: the tracker's reading.
 
 Effects that remember (play, friction) keep their state in the object that `fresh` returns.
+base_link and ft_sensor stand for the arm's base and sensor frame, whatever they are called.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
 from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
@@ -37,8 +38,6 @@ from galen_model.load.model import Load
 class ConfigError(GalenError):
     """A configuration value is invalid; the message names it."""
 
-
-ROTARY_JOINTS = ("roll", "tilt")
 
 BAG_ORDER = ("sweep", "motion", "push")
 """A recording's bags as they were recorded, one after the other."""
@@ -84,9 +83,10 @@ class Instants:
 class Posture:
     """Hold the true arm's state: n samples.
 
-    joints (n, 5) m and rad; rotation (n, 3, 3) R_base_sensor; origin (n, 3) of the sensor in
+    joints (n, k) m and rad; rotation (n, 3, 3) R_base_sensor; origin (n, 3) of the sensor in
     base_link, m; gravity (n, 3) in ft_sensor, m/s^2. motion: of the sensor in ft_sensor, None
-    without `needs_motion`. tool, adapter: the true loads. tip_m (3,) in ft_sensor.
+    without `needs_motion`. tool, adapter: the true loads. tip_m (3,) in ft_sensor. arm: the nominal
+    one.
     """
 
     joints: Array
@@ -97,13 +97,14 @@ class Posture:
     tool: Load
     adapter: Load
     tip_m: Array
+    arm: Arm
 
 
 @dataclass(frozen=True)
 class Loading:
     """Hold what bends the arm: n samples.
 
-    joints (n, 5) true; wrench (n, 6) at the tip in base_link, N and N.m; elastic (n, 6) the nominal
+    joints (n, k) true; wrench (n, 6) at the tip in base_link, N and N.m; elastic (n, 6) the nominal
     springs' displacement of the tip in base_link, m and rad; arm: with its stiffness as it is.
     """
 
@@ -130,7 +131,7 @@ class Effect:
     """
 
     name: ClassVar[str]
-    fitted: ClassVar[tuple[Fitted, ...]]
+    fitted: ClassVar[tuple[Fitted, ...]] = ()
     order: ClassVar[int] = 0
     after_noise: ClassVar[bool] = False
     needs_motion: ClassVar[bool] = False
@@ -167,8 +168,7 @@ class Effect:
             part = vector[at : at + p.size]
             values[p.name] = float(part[0]) if p.size == 1 else tuple(float(v) for v in part)
             at += p.size
-        own = {f.name: getattr(self, f.name) for f in fields(self)}
-        return type(self)(**{**own, **values})
+        return replace(self, **values)
 
     def fresh(self) -> Effect:
         """Return the effect at the start of a bag; effects with memory return a new object."""
@@ -187,7 +187,7 @@ class Effect:
         return 0.0
 
     def true_joints(self, when: Instants, joints: Array) -> Array:
-        """Return true joints (n, 5) of reported ones."""
+        """Return true joints (n, k) of reported ones."""
         return joints
 
     def arm(self, arm: Arm) -> Arm:

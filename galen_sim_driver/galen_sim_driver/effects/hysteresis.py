@@ -54,15 +54,16 @@ back to -a^2 at no load. `softness` b adds that part of e. c P a^2 over the defl
 Why a softness: a spring with friction that doesn't slide yet is stiffer than one whose friction
 does, and the nominal stiffness may be either's.
 
-"joints": Dahl's friction beside the springs of carriages, roll, tilt and rods, each with the
-fraction at its own largest load (over its deflection with the friction, there). With side -1 what
+"joints": Dahl's friction beside the spring of every joint that has one, of the Galen's carriages
+and rods as well, each with the fraction at its own largest load (over its deflection with the
+friction, there). With side -1 what
 friction takes is added.
 
 With `restarts` a move of the arm removes what loads have left, and largest loads are those of a
 place: joints that move shake their friction out. Without, all of it stays.
 
 The largest loads are those of the samples. A driver knows one sample at a time: it takes loads of
-about 10 N at the retractor's tip.
+about 10 N at the tip, where the arm is; on a delta, at home and at the retractor's tip.
 """
 
 from __future__ import annotations
@@ -74,7 +75,6 @@ from typing import ClassVar, Self
 
 import numpy as np
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.load.model import TOOLS
 from galen_model.registration import move_twist
@@ -143,28 +143,29 @@ def shape(largest_fraction: float) -> tuple[float, float]:
 
 
 def joint_stiffness(arm: Arm) -> Array:
-    """Return the stiffness (11,) of three carriages, roll, tilt and six rods, N/m and N.m/rad."""
-    k = arm.stiffness
-    return np.array([k["carriage"]] * 3 + [k["roll"], k["tilt"]] + [k["rod"]] * 6)
+    """Return the stiffness of the joints, N/m and N.m/rad: inf of a rigid one.
+
+    The three carriages of a delta are its first joints, and its six rods come last.
+    """
+    k = [joint.stiffness for joint in arm.joints]
+    if arm.delta is not None:
+        k = [arm.delta.carriage_stiffness] * 3 + k[3:] + [arm.delta.rod_stiffness] * 6
+    return np.array(k)
 
 
 def joint_columns(joints: ArrayLike, tip_m: ArrayLike, arm: Arm) -> Array:
-    """Return the tip's twist (6, 11) in base_link over what each joint gives.
+    """Return the tip's twist in base_link over what each joint gives, as `joint_stiffness` has it.
 
-    Columns: carriages, roll, tilt, rods.
-
-    joints (5,): m, rad. tip_m (3,): in ft_sensor.
+    joints (k,): m, rad. tip_m (3,): in ft_sensor.
     """
     q = np.asarray(joints, dtype=float)
-    delta = arm.delta
-    assert delta is not None
-    columns = np.zeros((6, 11))
-    columns[:, :5] = arm.tip_jacobian(q, tip_m)
+    columns, delta = arm.tip_jacobian(q, tip_m), arm.delta
+    if delta is None:
+        return columns
     columns[:3, :3] = np.linalg.inv(delta.jacobian(q[:3]))
     rods = np.linalg.inv(delta.rod_rows(q[:3]))
     _, tip = arm.tip_pose(q, tip_m)
-    columns[:, 5:] = move_twist(rods.T, q[:3], tip).T
-    return columns
+    return np.hstack([columns, move_twist(rods.T, q[:3], tip).T])
 
 
 def turning_points(values: Array, gate: float) -> np.ndarray:
@@ -229,7 +230,7 @@ _GATE = 0.02
 _LEAST_FRACTION = 1e-4
 _STILL_POSE_M = 2e-4
 _TYPICAL_FORCE_N = 10.0
-_MOVED = np.array([1e-3, 1e-3, 1e-3, 5e-3, 5e-3])
+_MOVED = {"m": 1e-3, "rad": 5e-3}
 """By how much joints change, m or rad, where the arm has moved to another place."""
 
 
@@ -345,7 +346,8 @@ class DeflectionHysteresis(Effect):
         memory = self._memory or _Memory()
         more = self._in_joints if self.form == "joints" else self._at_tip
         out = np.empty_like(loading.elastic)
-        for rows in self._places(memory, loading.joints):
+        moved = [_MOVED[unit] for unit in loading.arm.units]
+        for rows in self._places(memory, loading.joints, np.array(moved)):
             here = replace(
                 loading,
                 joints=loading.joints[rows],
@@ -355,7 +357,7 @@ class DeflectionHysteresis(Effect):
             out[rows] = -self.side * more(memory, here)
         return out
 
-    def _places(self, memory: _Memory, joints: Array) -> Iterator[slice]:
+    def _places(self, memory: _Memory, joints: Array, moved: Array) -> Iterator[slice]:
         if not self.restarts:
             yield slice(0, len(joints))
             return
@@ -363,7 +365,7 @@ class DeflectionHysteresis(Effect):
         while first < len(joints):
             if memory.place is None:
                 memory.place = joints[first]
-            gone = np.flatnonzero((np.abs(joints[first:] - memory.place) > _MOVED).any(axis=1))
+            gone = np.flatnonzero((np.abs(joints[first:] - memory.place) > moved).any(axis=1))
             last = first + int(gone[0]) if len(gone) else len(joints)
             if last > first:
                 yield slice(first, last)
@@ -373,7 +375,8 @@ class DeflectionHysteresis(Effect):
             first = last
 
     def _at_tip(self, memory: _Memory, loading: Loading) -> Array:
-        states, peak = memory.states(loading.elastic, _typical_tip, partial(_bouc_wen, self.knee))
+        law = partial(_bouc_wen, self.knee)
+        states, peak = memory.states(loading.elastic, partial(_typical_tip, loading), law)
         turned = -np.expm1(-1.0 / self.knee)
         fraction, soft = self.residual_fraction, 1.0 + self.softness
         size = fraction * soft / (turned**2 + self.side * fraction * turned)
@@ -382,7 +385,7 @@ class DeflectionHysteresis(Effect):
 
     def _in_joints(self, memory: _Memory, loading: Loading) -> Array:
         arm = loading.arm
-        columns = _columns(loading)
+        columns = columns_at(loading)
         loads = np.einsum("nij,ni->nj", columns, loading.wrench)
         # Below the least fraction the law is taken for proportional to it.
         fraction = max(self.residual_fraction, _LEAST_FRACTION)
@@ -393,14 +396,15 @@ class DeflectionHysteresis(Effect):
             level = np.where(peak > 0.0, peak, 1.0) / unit
             return lambda phi, change: slide(ratio, phi, change / level)
 
-        phi, peak = memory.states(loads, _typical_joints, dahl)
+        phi, peak = memory.states(loads, partial(_typical_joints, loading, columns[0]), dahl)
         slack = phi * peak / unit / joint_stiffness(arm)
         taken = np.einsum("nij,nj->ni", columns, slack)
         return np.asarray(self.residual_fraction / fraction * taken)
 
 
-def _columns(loading: Loading) -> Array:
-    """Twist of the tip (n, 6, 11) over what each joint gives; the arm stands most of the time."""
+def columns_at(loading: Loading) -> Array:
+    """Return the twist of the tip (n, 6, k) over what each joint gives."""
+    # The arm stands most of the time.
     keys = np.round(loading.joints / _STILL_POSE_M).astype(np.int64)
     new = np.concatenate([[True], np.any(np.diff(keys, axis=0) != 0, axis=1)])
     places, which = np.unique(keys[new], axis=0, return_inverse=True)
@@ -419,11 +423,16 @@ def _bouc_wen(knee: float, peak: Array) -> Callable[[Array, Array], Array]:
     return slide_tip
 
 
-@cache
-def _typical_tip() -> Array:
-    compliance = GALEN.tip_compliance(GALEN.home, TOOLS["retractor"].tip_m)
+def _typical_tip(loading: Loading) -> Array:
+    joints, tip_m, arm = loading.joints[0], loading.tip_m, loading.arm
+    if arm.delta is not None:
+        joints, tip_m = arm.home, TOOLS["retractor"].tip_m
+    compliance = arm.tip_compliance(joints, tip_m)
     return _TYPICAL_FORCE_N * np.abs(compliance[:, :3]).max(axis=1)
 
 
-def _typical_joints() -> Array:
-    return np.array([15.0] * 3 + [1.5, 1.5] + [60.0] * 6)
+def _typical_joints(loading: Loading, columns: Array) -> Array:
+    arm = loading.arm
+    if arm.delta is not None:
+        return np.array([15.0] * 3 + [1.5] * (len(arm.joints) - 3) + [60.0] * 6)
+    return np.asarray(_TYPICAL_FORCE_N * np.linalg.norm(columns[:3], axis=0))

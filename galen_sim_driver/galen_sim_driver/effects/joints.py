@@ -4,7 +4,8 @@ Zero offset: true angle = reported + offset; gain: true = (1 + gain) reported; w
 (1 + gain) reported + offset.
 
 Misaligned axis: with the turn A of an axis in its parent link, the joint's rotation R(q) becomes
-A R(q) A^T: at q = 0 the link is where it should be. For the tilt axis turned about its parent's z,
+A R(q) A^T: at q = 0 the link is where it should be. Links that are fixed to each other count as one
+parent. For the Galen's tilt axis turned about its parent's z,
 
     R_base_sensor = Rx(roll) Rz(a) Ry(tilt) Rz(a)^T Ry(pi/2).
 
@@ -16,7 +17,9 @@ A fit therefore works on how much softer than nominal a spring is,
     c = k_nominal / k - 1,
 
 in which the deflection is linear, carriages and rods included: with the square matrix A of the
-six rods' rows K_p^-1 = A^-1 (I / k_rod + G G^T / k_q) A^-T (`galen_model.arm.delta`).
+six rods' rows K_p^-1 = A^-1 (I / k_rod + G G^T / k_q) A^-T (`galen_model.arm.delta`). Of a joint
+that is nominally rigid, as all of a robot description are, c = k_ref / k with k_ref = 1e4 N.m/rad
+(1e6 N/m), about that of a gear of an arm for 5 kg.
 
 Play in a joint: after each reversal its true value lags by half the gap.
 
@@ -39,13 +42,23 @@ a sliding joint) to move it at all, so that what a sensor's noise makes of no lo
 and the tip moves by s h less where it rested. Rest is where the last motion left the joint: on the
 side it came from, s = -1 after going up; `start` before any motion. So the first push moves it by h
 from the middle, and by the whole gap or not at all after a motion.
+
+With the crossing `centred` the joint is at s = `start` before the first push after a motion, and it
+crosses at once: u - 2 is 4 u - 5 there, and u + 2 is 4 u + 5. With `soft` nothing sticks: gears and
+bearings give way within the gap,
+
+    s = tanh(u + u_0),    u_0 = 2 `start`,
+
+with rest at tanh(u_0).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import ClassVar, Self
+import math
+import re
+from dataclasses import dataclass, field, make_dataclass, replace
+from functools import lru_cache
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from galen_model.arm.arm import Arm
@@ -55,7 +68,7 @@ from galen_model.rotation import rot_x, rot_y, rot_z
 from galen_ros.parameters import param
 
 from galen_sim_driver.effects.effect import (
-    ROTARY_JOINTS,
+    ConfigError,
     Effect,
     Fitted,
     Instants,
@@ -65,17 +78,30 @@ from galen_sim_driver.effects.effect import (
 
 
 @dataclass(frozen=True)
-class _RotaryEffect(Effect):
+class AtJoint(Effect):
+    """An effect at a revolute joint of `nominal`, the arm as it is without effects."""
+
     of_a_joint = True
 
-    joint: str = param("tilt", "the joint: roll tilt")
+    joint: str = param("tilt", "the joint")
+    nominal: Arm = field(default=GALEN, kw_only=True, repr=False, compare=False)
+
+    @classmethod
+    def of(cls, arm: Arm, joint: str) -> Self:
+        """Return the effect at a joint of an arm, changing nothing."""
+        return cls(joint=joint, nominal=arm)
+
+    @property
+    def index(self) -> int:
+        """Place of the joint."""
+        return self.nominal.joint_names.index(self.joint)
 
     def validate(self) -> None:
-        check_choice(self.name, "joint", self.joint, ROTARY_JOINTS)
+        check_choice(self.name, "joint", self.joint, self.nominal.turning_names)
 
 
 @dataclass(frozen=True)
-class JointZeroOffset(_RotaryEffect):
+class JointZeroOffset(AtJoint):
     """true angle of `joint` = reported + `offset_rad`."""
 
     name = "joint_zero_offset"
@@ -86,12 +112,12 @@ class JointZeroOffset(_RotaryEffect):
 
     def true_joints(self, when: Instants, joints: Array) -> Array:
         true = joints.copy()
-        true[:, GALEN.joint_names.index(self.joint)] += self.offset_rad
+        true[:, self.index] += self.offset_rad
         return true
 
 
 @dataclass(frozen=True)
-class JointGain(_RotaryEffect):
+class JointGain(AtJoint):
     """true angle of `joint` = (1 + `gain`) reported."""
 
     name = "joint_gain"
@@ -101,7 +127,7 @@ class JointGain(_RotaryEffect):
 
     def true_joints(self, when: Instants, joints: Array) -> Array:
         true = joints.copy()
-        true[:, GALEN.joint_names.index(self.joint)] *= 1.0 + self.gain
+        true[:, self.index] *= 1.0 + self.gain
         return true
 
 
@@ -109,7 +135,7 @@ _ABOUT = {"x": rot_x, "y": rot_y, "z": rot_z}
 
 
 @dataclass(frozen=True)
-class JointAxisMisalignment(_RotaryEffect):
+class JointAxisMisalignment(AtJoint):
     """The axis of `joint` is turned by `angle_rad` about an axis of its parent link."""
 
     name = "joint_axis_misalignment"
@@ -122,11 +148,21 @@ class JointAxisMisalignment(_RotaryEffect):
         super().validate()
         check_choice(self.name, "about", self.about, _ABOUT)
 
+    @classmethod
+    def of(cls, arm: Arm, joint: str) -> Self:
+        own = arm.joints[arm.joint_names.index(joint)]
+        axis = own.axis if own.rotation is None else own.rotation @ own.axis
+        # Turned about itself an axis stays where it is.
+        about = "x" if abs(axis[2]) > 0.9 else "z"
+        return replace(super().of(arm, joint), about=about)
+
     def misaligned(self, arm: Arm) -> Arm:
         joints = list(arm.joints)
-        index = arm.joint_names.index(self.joint)
-        axis = _ABOUT[self.about](self.angle_rad) @ joints[index].axis
-        joints[index] = replace(joints[index], axis=axis)
+        joint = joints[self.index]
+        turn = _ABOUT[self.about](self.angle_rad)
+        if joint.rotation is not None:  # the axis is written in the joint's own frame
+            turn = joint.rotation.T @ turn @ joint.rotation
+        joints[self.index] = replace(joint, axis=turn @ joint.axis)
         return replace(arm, joints=tuple(joints))
 
 
@@ -148,54 +184,140 @@ class BaseInclination(Effect):
         return np.asarray(turn.T @ gravity_base)
 
 
-_SPRINGS = tuple(GALEN.stiffness)
+class _Spring(NamedTuple):
+    """What gives: a joint, or what holds a delta's platform; stiffnesses in N/m or Nm/rad."""
+
+    name: str
+    what: str
+    unit: str
+    nominal: float
+
+    @property
+    def reference(self) -> float:
+        """Stiffness over which softness is counted."""
+        if math.isfinite(self.nominal):
+            return self.nominal
+        return 1e4 if self.unit == "Nm/rad" else 1e6
+
+    @property
+    def softest(self) -> float:
+        """Softness as nominal is none: 1, or 0 of a rigid joint."""
+        return self.reference / self.nominal
 
 
-def _softer(of: str) -> Fitted:
-    return Fitted(f"softness_{of}", "", 0.3, -0.9, 20.0)
+def _springs(arm: Arm) -> tuple[_Spring, ...]:
+    """Return what gives: of a delta's arm what has a stiffness, of another one every joint."""
+    units = {"m": "N/m", "rad": "Nm/rad"}
+    joints = {
+        joint.name: _Spring(
+            joint.name, f"the {joint.name} joint", units[joint.unit], joint.stiffness
+        )
+        for joint in arm.joints
+    }
+    if arm.delta is None:
+        return tuple(joints.values())
+    return tuple(
+        joints.get(name) or _Spring(name, f"a {name}", "N/m", nominal)
+        for name, nominal in arm.stiffness.items()
+    )
 
 
 @dataclass(frozen=True)
-class JointCompliance(Effect):
+class _Compliance(Effect):
     """Stiffnesses of the true arm, SI; 0 for one that is as nominal.
 
-    `vector` holds k_nominal / k - 1 of roll, tilt, carriages and rods, in this order.
+    `vector` holds the softness of each spring. A field is a spring's name after "k_".
     """
 
     name = "joint_compliance"
-    fitted = tuple(map(_softer, _SPRINGS))
-    contract_names: ClassVar[Mapping[str, str]] = {name: f"stiffness.{name}" for name in _SPRINGS}
+    springs: ClassVar[tuple[_Spring, ...]]
 
-    roll: float = param(0.0, "stiffness of the roll joint, 0 for the nominal one, Nm/rad", 0.0)
-    tilt: float = param(0.0, "stiffness of the tilt joint, 0 for the nominal one, Nm/rad", 0.0)
-    carriage: float = param(0.0, "stiffness of a carriage, 0 for the nominal one, N/m", 0.0)
-    rod: float = param(0.0, "stiffness of a rod, 0 for the nominal one, N/m", 0.0)
+    def _given(self) -> list[float]:
+        return [getattr(self, stiffness_field(spring.name)) for spring in self.springs]
+
+    @property
+    def changes_nothing(self) -> bool:
+        return not self.vector().any()
 
     def vector(self) -> Array:
-        softer = []
-        for spring in _SPRINGS:
-            stiffness = getattr(self, spring)
-            softer.append(GALEN.stiffness[spring] / stiffness - 1.0 if stiffness > 0.0 else 0.0)
-        return np.array(softer)
+        return np.array(
+            [
+                spring.reference / k - spring.softest if k > 0.0 else 0.0
+                for spring, k in zip(self.springs, self._given(), strict=True)
+            ]
+        )
 
     def with_vector(self, vector: Array) -> Self:
         return replace(
             self,
             **{
-                spring: GALEN.stiffness[spring] / (1.0 + float(softer)) if softer != 0.0 else 0.0
-                for spring, softer in zip(_SPRINGS, vector, strict=True)
+                stiffness_field(spring.name): spring.reference / (spring.softest + float(softer))
+                if softer != 0.0
+                else 0.0
+                for spring, softer in zip(self.springs, vector, strict=True)
             },
         )
 
     def arm(self, arm: Arm) -> Arm:
-        given = {spring: getattr(self, spring) for spring in _SPRINGS}
-        return arm.with_stiffness({spring: k for spring, k in given.items() if k > 0.0})
+        given = zip(self.springs, self._given(), strict=True)
+        return arm.with_stiffness({spring.name: k for spring, k in given if k > 0.0})
 
 
-_TILT = GALEN.joint_names.index("tilt")
-_ROLL = GALEN.joint_names.index("roll")
-_SEAT = (0.5, 0.5, 0.5, 0.05, 0.05)
-_STILL = (5e-5, 5e-5, 5e-5, 5e-4, 5e-4)
+def stiffness_field(spring: str) -> str:
+    """Return the field of a compliance that holds the stiffness of a joint, carriage or rod."""
+    return "k_" + as_word(spring)
+
+
+def as_word(name: str) -> str:
+    """Return a joint's name with nothing in it but letters, digits and underscores."""
+    return re.sub(r"\W", "_", name, flags=re.ASCII)
+
+
+def compliance(arm: Arm) -> type[Any]:
+    """Return the effect `joint_compliance` of an arm, with a field for each stiffness.
+
+    Raises ConfigError where two joints have names that make the same field.
+    """
+    springs = _springs(arm)
+    fields = [stiffness_field(spring.name) for spring in springs]
+    for name in fields:
+        if fields.count(name) > 1:
+            raise ConfigError(f"two joints of {arm.name} make the parameter '{name}': rename one")
+    return _compliance(springs)
+
+
+@lru_cache
+def _compliance(springs: tuple[_Spring, ...]) -> type[Any]:
+    numbers, fitted = [], []
+    for spring in springs:
+        rigid = math.isinf(spring.nominal)
+        usual = "a rigid one" if rigid else "the nominal one"
+        meaning = param(0.0, f"stiffness of {spring.what}, 0 for {usual}, {spring.unit}", 0.0)
+        numbers.append((stiffness_field(spring.name), float, meaning))
+        softness = (1.0, 0.0) if rigid else (0.3, -0.9)
+        fitted.append(Fitted(f"softness_{spring.name}", "", *softness, 20.0))
+    return make_dataclass(
+        "JointCompliance",
+        numbers,
+        bases=(_Compliance,),
+        frozen=True,
+        namespace={
+            "__module__": __name__,
+            "springs": springs,
+            "fitted": tuple(fitted),
+            "contract_names": {
+                stiffness_field(spring.name): f"stiffness.{spring.name}" for spring in springs
+            },
+        },
+    )
+
+
+JointCompliance = compliance(GALEN)
+"""That of the Galen: of roll, tilt, carriages and rods, in this order."""
+
+
+_SEAT = {"m": 0.5, "rad": 0.05}
+_STILL = {"m": 5e-5, "rad": 5e-4}
 """Joints that move by less, m or rad, stand: some ten quanta of the encoders."""
 
 
@@ -208,8 +330,11 @@ class _Memory:
         self.rest = self.side = start
 
 
+CROSSINGS = ("stiction", "centred", "soft")
+
+
 @dataclass(frozen=True)
-class Backlash(Effect):
+class Backlash(AtJoint):
     """`joint` has a gap of `gap_rad`; of a sliding joint, in m."""
 
     name = "backlash"
@@ -217,10 +342,13 @@ class Backlash(Effect):
         Fitted("gap_rad", "rad", 0.002, 0.0, 0.2),
         Fitted("start", "", 1.0, -1.0, 1.0),
         Fitted("seat", "", 2.0, 0.1, 30.0),
+        Fitted("width", "", 0.5, 0.02, 4.0),
     )
-    beyond_contract = ("start", "seat")
+    beyond_contract = ("start", "seat", "width", "crossing")
 
-    joint: str = param("tilt", "the joint with the gap: delta_x delta_y delta_z roll tilt")
+    of_a_joint = False
+
+    joint: str = param("tilt", "the joint with the gap, a sliding one as well")
     gap_rad: float = param(0.0, "the gap, rad; of a sliding joint in m", 0.0, 0.2)
     start: float = param(
         0.0, "where in its gap it starts, -1 to 1, as after going up or down", -1.0, 1.0
@@ -228,6 +356,10 @@ class Backlash(Effect):
     seat: float = param(
         1.0, "moment that moves it through its gap, over 0.05 Nm, or force over 0.5 N", 0.1, 30.0
     )
+    width: float = param(
+        2.0, "further moment that takes it through all of its gap, over that of the seat", 0.02, 4.0
+    )
+    crossing: str = param("stiction", "how it crosses its gap: stiction, centred or soft")
 
     _memory: ClassVar[_Memory | None] = None
 
@@ -236,7 +368,8 @@ class Backlash(Effect):
         return self.gap_rad == 0.0
 
     def validate(self) -> None:
-        check_choice(self.name, "joint", self.joint, GALEN.joint_names)
+        check_choice(self.name, "joint", self.joint, self.nominal.joint_names)
+        check_choice(self.name, "crossing", self.crossing, CROSSINGS)
 
     def fresh(self) -> Self:
         new = replace(self)
@@ -244,72 +377,53 @@ class Backlash(Effect):
         object.__setattr__(new, "_memory", _Memory(self.start))
         return new
 
-    @property
-    def _index(self) -> int:
-        return GALEN.joint_names.index(self.joint)
-
     def true_joints(self, when: Instants, joints: Array) -> Array:
         if not len(joints) or self.gap_rad == 0.0:
             return joints
         memory = self._memory or _Memory(self.start)
-        half, reported = 0.5 * self.gap_rad, joints[:, self._index].tolist()
-        now = reported[0] + self.start * half if memory.true is None else memory.true
+        half, reported = 0.5 * self.gap_rad, joints[:, self.index]
+        # Where the reported joint stays, so does the true one; an arm stands most of the time.
+        new = np.concatenate([[True], np.diff(reported) != 0.0])
+        places = reported[new].tolist()
+        now = places[0] + self.start * half if memory.true is None else memory.true
         path = []
-        for value in reported:
+        for value in places:
             now = min(max(now, value - half), value + half)
             path.append(now)
         memory.true = now
         true = joints.copy()
-        true[:, self._index] = path
+        true[:, self.index] = np.array(path)[np.cumsum(new) - 1]
         return true
 
     def deflect(self, when: Instants, loading: Loading) -> Array | None:
         if not len(when) or self.gap_rad == 0.0:
             return None
         memory = self._memory or _Memory(self.start)
-        column = self._column(loading)
-        index = self._index
-        loads = np.einsum("ni,ni->n", column, loading.wrench) / (self.seat * _SEAT[index])
+        index, unit = self.index, self.nominal.units[self.index]
+        # Twist of the tip (n, 6) over the joint's rate; the arm stands most of the time.
+        joints = loading.joints
+        new = np.concatenate([[True], np.any(np.diff(joints, axis=0) != 0.0, axis=1)])
+        columns = loading.arm.tip_jacobian(joints[new], loading.tip_m)[..., index]
+        column = columns[np.cumsum(new) - 1]
+        loads = np.einsum("ni,ni->n", column, loading.wrench) / (self.seat * _SEAT[unit])
+        if self.crossing == "soft":
+            rest = 2.0 * self.start
+            shifted = np.tanh(loads + rest) - np.tanh(rest)
+            return 0.5 * self.gap_rad * shifted[:, None] * column
+        slope = 2.0 / self.width
         at = memory.at
         moved = []
-        for place, load in zip(loading.joints[:, index].tolist(), loads.tolist(), strict=True):
+        lows, highs = (
+            np.clip(slope * loads + way, -1.0, 1.0).tolist() for way in (-slope - 1.0, slope + 1.0)
+        )
+        for place, low, high in zip(joints[:, index].tolist(), lows, highs, strict=True):
             if at is None:
                 at = place
-            elif abs(place - at) > _STILL[index]:
-                memory.rest = memory.side = -1.0 if place > at else 1.0
+            elif abs(place - at) > _STILL[unit]:
+                side = -1.0 if place > at else 1.0
+                memory.rest = memory.side = side if self.crossing == "stiction" else self.start
                 at = place
-            low, high = (min(max(load + way, -1.0), 1.0) for way in (-2.0, 2.0))
             memory.side = min(max(memory.side, low), high)
             moved.append(memory.side - memory.rest)
         memory.at = at
         return 0.5 * self.gap_rad * np.array(moved)[:, None] * column
-
-    def _column(self, loading: Loading) -> Array:
-        """Twist of the tip (n, 6) in base_link over the joint's rate.
-
-        The tip lies from the tilt axis by Ry(tilt) (tilt to sensor + Ry(pi/2) tip) in the axes of
-        the roll link, and from the roll axis by that and roll to tilt.
-        """
-        column = np.zeros((len(loading.joints), 6))
-        index = self._index
-        if index < _ROLL:
-            column[:, index] = 1.0
-            return column
-        tilt, arm = loading.joints[:, _TILT], loading.arm
-        z, y, x = -loading.tip_m[0], loading.tip_m[1], loading.tip_m[2]
-        x, y, z = np.array([x, y, z]) + arm.sensor_origin_m
-        lever = np.stack(
-            [
-                np.cos(tilt) * x + np.sin(tilt) * z,
-                0.0 * tilt + y,
-                np.cos(tilt) * z - np.sin(tilt) * x,
-            ],
-            axis=1,
-        )
-        axis = np.array([0.0, 1.0, 0.0])
-        if index == _ROLL:
-            lever, axis = lever + arm.joints[_TILT].origin_m, np.array([1.0, 0.0, 0.0])
-        roll = rot_x(loading.joints[:, _ROLL])
-        column[:, :3] = np.einsum("nij,nj->ni", roll, np.cross(axis, lever))
-        column[:, 3:] = roll @ axis
-        return column

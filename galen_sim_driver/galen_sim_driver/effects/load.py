@@ -44,7 +44,7 @@ from functools import lru_cache
 from typing import ClassVar, Self
 
 import numpy as np
-from galen_model.arm.galen import GALEN
+from galen_model.arm.arm import Arm
 from galen_model.arrays import Array
 from galen_model.load.inertia import LoadInMotion, inertial_wrench, point_mass_inertia
 from galen_model.load.model import Load
@@ -240,15 +240,12 @@ class CableDrag(Effect):
             self.bending_nm,
             distance_m,
             direction,
-            _direction_at_home(tuple(self.anchor_m), tuple(self.attachment_m)),
+            self._direction_at_home(posture.arm) if self.bending_nm else np.zeros(3),
             self.attachment_m,
         )
 
-
-@lru_cache(maxsize=256)
-def _direction_at_home(anchor_m: tuple[float, ...], attachment_m: tuple[float, ...]) -> Array:
-    rotation, origin = GALEN.sensor_pose(GALEN.home)
-    return cable_line(rotation, origin, anchor_m, attachment_m)[1]
+    def _direction_at_home(self, arm: Arm) -> Array:
+        return cable_line(*arm.sensor_pose(arm.home), self.anchor_m, self.attachment_m)[1]
 
 
 def cable_line(

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
+from galen_model.arm.arm import Arm
+from galen_model.arm.galen import GALEN
 from galen_ros.parameters import ParameterError, checked, param_fields
 
-from galen_sim_driver.effects.effect import ROTARY_JOINTS, ConfigError, Effect
+from galen_sim_driver.effects.effect import ConfigError, Effect
 from galen_sim_driver.effects.hysteresis import DeflectionHysteresis
 from galen_sim_driver.effects.joints import (
+    AtJoint,
     Backlash,
     BaseInclination,
     JointAxisMisalignment,
     JointCompliance,
     JointGain,
     JointZeroOffset,
+    compliance,
 )
 from galen_sim_driver.effects.load import (
     CableDrag,
@@ -47,18 +51,29 @@ EFFECTS: dict[str, type[Effect]] = {
         *(JointCompliance, DeflectionHysteresis, Backlash, TrackerDelay, TrackerScale, BaseShift),
     )
 }
-"""Those of the contract's section 6, in its order."""
+"""Those of the contract's section 6, in its order; the compliance is that of the Galen."""
 
-IDENTITIES: dict[str, Effect] = {
-    effect.identity: effect
-    for kind in EFFECTS.values()
-    for effect in (
-        [kind(joint=joint) for joint in ROTARY_JOINTS]  # type: ignore[call-arg]
-        if kind.of_a_joint
-        else [kind()]
-    )
-}
-"""All effects that change nothing, those of a joint at each joint."""
+
+def identities(arm: Arm) -> dict[str, Effect]:
+    """Return all effects of an arm by identity, changing nothing.
+
+    Those of a joint are there for each revolute joint.
+    """
+    found: list[Effect] = []
+    for name in EFFECTS:
+        kind = _kind(name, arm)
+        if not issubclass(kind, AtJoint):
+            found.append(kind())
+        elif kind.of_a_joint:
+            found += [kind.of(arm, joint) for joint in arm.turning_names]
+        else:
+            found.append(kind.of(arm, (arm.turning_names or arm.joint_names)[-1]))
+    return {effect.identity: effect for effect in found}
+
+
+def _kind(name: str, arm: Arm) -> type[Effect]:
+    return compliance(arm) if name == "joint_compliance" else EFFECTS[name]
+
 
 _FORMER_NAMES: Mapping[str, Mapping[str, str]] = {
     "roll_zero_offset": {"effect": "joint_zero_offset", "joint": "roll"},
@@ -90,7 +105,8 @@ def identity_of(name: str, parameters: Mapping[str, Any]) -> str:
 
 def contract_parameters(effect: Effect) -> dict[str, Any]:
     """Return the effect's numbers under the contract's names, as JSON has them."""
-    return _named(effect, [f.name for f in fields(effect) if f.name not in effect.beyond_contract])
+    own = [f.name for f in fields(effect) if "param" in f.metadata]
+    return _named(effect, [name for name in own if name not in effect.beyond_contract])
 
 
 def extra_parameters(effect: Effect) -> dict[str, Any]:
@@ -110,8 +126,8 @@ def _named(effect: Effect, of: Iterable[str]) -> dict[str, Any]:
     return named
 
 
-def effect_from(name: str, parameters: Mapping[str, Any]) -> Effect:
-    """Return the effect of this name with these numbers, named as the contract or the fields are.
+def effect_from(name: str, parameters: Mapping[str, Any], arm: Arm = GALEN) -> Effect:
+    """Return an arm's effect of this name with numbers named as the contract or the fields are.
 
     Numbers not given have their defaults. Names from before effects had joints are read, too.
     Raises ConfigError naming effect and parameter on an unknown name, a wrong type, size or range,
@@ -120,7 +136,7 @@ def effect_from(name: str, parameters: Mapping[str, Any]) -> Effect:
     name, parameters = contract_form(name, parameters)
     if name not in EFFECTS:
         raise ConfigError(f"no effect '{name}'; known: {', '.join(EFFECTS)}")
-    kind = EFFECTS[name]
+    kind = _kind(name, arm)
     own = param_fields(kind)
     names = {told: field for field, told in kind.contract_names.items()}
     values = {}
@@ -141,6 +157,8 @@ def effect_from(name: str, parameters: Mapping[str, Any]) -> Effect:
                 f"{name}: {told} has {len(values[field])} numbers, but must have {wanted}"
             )
     effect = kind(**values)
+    if isinstance(effect, AtJoint):
+        effect = replace(effect, nominal=arm)
     effect.validate()
     return effect
 

@@ -20,11 +20,11 @@ from galen_model.arrays import Array
 from galen_model.load.model import ToolGeometry
 
 from galen_sim_driver.plant.config import (
-    ACCELERATION,
     VELOCITY_WINDOW_S,
     HandPush,
     PlantConfig,
     PlantError,
+    acceleration_limits,
 )
 from galen_sim_driver.plant.effects import ArmNow, PlantEffects
 from galen_sim_driver.plant.geometry import Quaternion, Vector, cross, rotate
@@ -60,7 +60,7 @@ class Plant:
     """Hold the cell's state; `step()` goes on by one period."""
 
     def __init__(self, config: PlantConfig, rng: np.random.Generator) -> None:
-        """Start at rest at `config.start_joints`, no tool on, zeroed at home with the adapter on.
+        """Start at rest at `config.start`, no tool on, zeroed at home with the adapter on.
 
         The motion is that of the joints as the encoders see them; effects make true ones of them.
 
@@ -76,8 +76,9 @@ class Plant:
         # How much later than the sample the stamps are.
         self.wrench_delay_ns = self._effects.wrench_delay_ns
         self.tracker_delay_ns = self._effects.tracker_delay_ns
-        self._motion = LimitedMotion(config.arm, config.start_joints, self._period_s)
-        self._hold = list(config.start_joints)
+        self._motion = LimitedMotion(config.arm, config.start, self._period_s)
+        self._hold = list(config.start)
+        self._quantum = config.quantum
         self._reference: Reference | None = None
 
         self.tool = ""
@@ -99,11 +100,11 @@ class Plant:
         self._compliance: Array | None = None
 
         self._hand = Hand(config.hand)
-        self.admittance = Admittance(config.admittance_timeout_s)
+        self.admittance = Admittance(config.admittance_timeout_s, config.arm)
         self.admittance_on = False
         self._lower, self._upper = config.arm.lower.tolist(), config.arm.upper.tolist()
         self._still = [0.0] * len(config.arm.joints)
-        self._offset_step = [0.5 * a * self._period_s for a in ACCELERATION]
+        self._offset_step = [0.5 * a * self._period_s for a in acceleration_limits(config.arm)]
         # What admittance adds to the reference, and how fast that changes.
         self._offset = self._still
         self._offset_velocity = self._still
@@ -279,7 +280,7 @@ class Plant:
         if not self.admittance_on:
             return reference
         joints = self._motion.positions
-        velocities = self.admittance.joint_velocities(now_ns, joints, self._tip, self._config.arm)
+        velocities = self.admittance.joint_velocities(now_ns, joints, self._tip)
         # The hand's part changes its velocity by no more than half of what the joints can: a step
         # of it (noise alone makes some) on top of the reference's own acceleration would be more
         # than they follow, and a joint that has lost a moving reference catches up only late.
@@ -316,8 +317,7 @@ class Plant:
 
     def _encode(self, joints: Sequence[float]) -> list[float]:
         return [
-            round(value / step) * step
-            for value, step in zip(joints, self._config.encoder_quantum, strict=True)
+            round(value / step) * step for value, step in zip(joints, self._quantum, strict=True)
         ]
 
     def _look(

@@ -1,4 +1,4 @@
-"""Describe the simulated cell; the defaults are the nominal Galen.
+"""Describe the simulated cell of any arm; the defaults are the nominal Galen.
 
 SI units. Each `validate()` raises ConfigError naming the value.
 """
@@ -10,24 +10,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import (
-    ENCODER_QUANTUM,
-    GALEN,
-    SENSOR,
-    SensorParameters,
-)
+from galen_model.arm.galen import GALEN, SENSOR, SensorParameters
 from galen_model.errors import GalenError
 from galen_model.load.model import ADAPTER, TOOLS, Load, ToolGeometry
+from galen_model.rest.segments import ENCODER_STEP
 
 from galen_sim_driver.effects.effect import ConfigError, Effect
 
 Vector3 = tuple[float, float, float]
 JointVector = tuple[float, ...]
 
-VELOCITY: JointVector = (0.2, 0.2, 0.2, 1.5, 1.5)
-"""Fastest joints, m/s and rad/s."""
-ACCELERATION: JointVector = (1.0, 1.0, 1.0, 6.0, 6.0)
-"""Their largest accelerations, m/s^2 and rad/s^2."""
+_VELOCITY = (0.2, 1.5)
+"""Of the fastest joint by its unit, m/s and rad/s."""
+_ACCELERATION = (1.0, 6.0)
+"""Largest acceleration, m/s^2 and rad/s^2."""
 VELOCITY_WINDOW_S = 0.02
 """Over which the encoders' velocity is a difference."""
 
@@ -37,6 +33,21 @@ LARGEST_PUSH = 1e4
 """N, or N.m about the tip: beyond what any arm of this size bears, and no number overflows."""
 
 ZERO3: Vector3 = (0.0, 0.0, 0.0)
+
+
+def velocity_limits(arm: Arm) -> JointVector:
+    """Return how fast each joint (n,) goes, m/s and rad/s; a description may ask for less."""
+    usual = zip(arm.joints, _by_unit(arm, _VELOCITY), strict=True)
+    return tuple(min(speed, joint.max_velocity) for joint, speed in usual)
+
+
+def acceleration_limits(arm: Arm) -> JointVector:
+    """Return the largest acceleration of each joint (n,), m/s^2 and rad/s^2."""
+    return _by_unit(arm, _ACCELERATION)
+
+
+def _by_unit(arm: Arm, values: tuple[float, float]) -> JointVector:
+    return tuple(arm.by_unit(*values).tolist())
 
 
 class PlantError(GalenError):
@@ -119,14 +130,15 @@ def _default_script() -> tuple[HandPush, ...]:
 class PlantConfig:
     """The whole simulated cell.
 
-    noise: of sensor and tracker. quantise: the sensor's quanta. tool_marker: in tool_tip. effects:
-    what the nominal model leaves out. admittance_timeout_s: a wrench older than this moves nothing.
+    start_joints (n,): empty for home. encoder_quantum (n,): empty for 5 um and 50 urad. noise: of
+    sensor and tracker. quantise: the sensor's quanta. tool_marker: in tool_tip. effects: what the
+    nominal model leaves out. admittance_timeout_s: a wrench older than this moves nothing.
     """
 
     rate_hz: float = 500.0
     start_ns: int = 1_000_000_000
-    start_joints: JointVector = tuple(GALEN.home.tolist())
-    encoder_quantum: JointVector = tuple(ENCODER_QUANTUM.tolist())
+    start_joints: JointVector = ()
+    encoder_quantum: JointVector = ()
     arm: Arm = GALEN
     adapter: Load = ADAPTER
     tools: Mapping[str, ToolGeometry] = field(default_factory=lambda: dict(TOOLS))
@@ -143,6 +155,16 @@ class PlantConfig:
     def period_ns(self) -> int:
         """Time between two samples, ns."""
         return round(1e9 / self.rate_hz)
+
+    @property
+    def start(self) -> JointVector:
+        """Joints (n,) at the start, m and rad."""
+        return self.start_joints or tuple(self.arm.home.tolist())
+
+    @property
+    def quantum(self) -> JointVector:
+        """Step of each joint's encoder (n,), m and rad."""
+        return self.encoder_quantum or _by_unit(self.arm, ENCODER_STEP)
 
     def validate(self) -> None:
         """Check every part, and that the parts fit together."""
@@ -162,8 +184,14 @@ class PlantConfig:
             self.admittance_timeout_s > 0.0,
             f"admittance timeout is {self.admittance_timeout_s} s, but must be positive",
         )
+        names = self.arm.joint_names
+        _require(
+            len(self.start) == len(names),
+            f"start_joints has {len(self.start)} numbers, but must have {len(names)}: "
+            f"{', '.join(names)}",
+        )
         for joint, value, low, high in zip(
-            self.arm.joint_names, self.start_joints, self.arm.lower, self.arm.upper, strict=True
+            names, self.start, self.arm.lower, self.arm.upper, strict=True
         ):
             _require(
                 low <= value <= high, f"{joint} starts at {value}, outside {low:g} to {high:g}"

@@ -55,13 +55,13 @@ class PlantEffects:
     ) -> None:
         """Start as at the start of a bag; home (n,): reported joints where the zero was taken."""
         self._effects = [effect.fresh() for effect in in_order(effects)]
+        self._nominal = arm
         gravity = arm.gravity_m_s2
         for effect in self._effects:
             arm, gravity = effect.arm(arm), effect.gravity(gravity)
         self.arm = arm
         self._gravity: list[float] = gravity.tolist()
         self._direction: list[float] = (gravity / np.linalg.norm(gravity)).tolist()
-        self._motion = MotionOfSensor(arm)
         self._adapter = adapter
         self._misaligned = arm
         for effect in self._effects:
@@ -69,6 +69,7 @@ class PlantEffects:
         self.wrench_delay_ns = _ns(sum(effect.wrench_delay_s for effect in self._effects))
         self.tracker_delay_ns = _ns(sum(effect.tracker_delay_s for effect in self._effects))
         self.needs_motion = any(effect.needs_motion for effect in self._effects)
+        self._motion = MotionOfSensor(self.arm) if self.needs_motion else None
         self._joints = self._with("true_joints")
         self._loads = self._with("tool_load")
         self._wrenches = self._with("wrench")
@@ -119,9 +120,8 @@ class PlantEffects:
         if not self._wrenches or self._tool is None:
             return None
         motion = None
-        if self.needs_motion:
-            roll, tilt = self.arm.angles(arm.joints).tolist()
-            own = self._motion.at(roll, tilt, tuple(velocities), tuple(accelerations))
+        if self._motion is not None:
+            own = self._motion.at(arm.joints, velocities, accelerations)
             motion = SensorMotion(*(np.array([part]) for part in own))
         posture = Posture(
             joints=np.array([arm.joints]),
@@ -132,6 +132,7 @@ class PlantEffects:
             tool=self._true_tool,
             adapter=self._adapter,
             tip_m=self._tip_m,
+            arm=self._nominal,
         )
         return _first(added(effect.wrench(self._when, posture) for effect in self._wrenches))
 

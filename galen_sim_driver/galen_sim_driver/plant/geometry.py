@@ -1,4 +1,4 @@
-"""Rotations of one sample, in plain floats.
+"""Rotations and the Jacobian of one sample, in plain floats.
 
 numpy takes microseconds for every call on a 3-vector, and the plant makes hundreds of steps a
 second of them. Matrices are nine floats, row by row; quaternions are x, y, z, w.
@@ -24,6 +24,60 @@ def sensor_matrix(arm: Arm, joints: Sequence[float]) -> Matrix:
     cosines, sines = [math.cos(q) for q in angles], [math.sin(q) for q in angles]
     a, b, c = (arm.components_in_sensor(axis, cosines, sines) for axis in _AXES)
     return (*a, *b, *c)
+
+
+def tip_jacobian(
+    arm: Arm, joints: Sequence[float], tip: Sequence[float]
+) -> tuple[Matrix, list[Sequence[float]]]:
+    """Return R_base_sensor and the n columns of `Arm.tip_jacobian`; tip (3,) in the sensor, m."""
+    turned: Matrix = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+    at: Vector = (0.0, 0.0, 0.0)
+    axes: list[tuple[Vector, Vector | None]] = []
+    for joint, q in zip(arm.joints, joints, strict=True):
+        at = _onward(at, rotate(turned, joint.origin_m.tolist()))
+        if joint.rotation is not None:
+            turned = _product(turned, joint.rotation.ravel().tolist())
+        own: list[float] = joint.axis.tolist()
+        axis = rotate(turned, own)
+        axes.append((axis, at if joint.kind == "revolute" else None))
+        if joint.kind == "revolute":
+            turned = _product(turned, _about(own, q))
+        else:
+            at = _onward(at, axis, q)
+    at = _onward(at, rotate(turned, arm.sensor_origin_m.tolist()))
+    turned = _product(turned, arm.sensor_rotation.ravel().tolist())
+    at = _onward(at, rotate(turned, tip))
+    return turned, [
+        (*axis, 0.0, 0.0, 0.0)
+        if origin is None
+        else (*cross(axis, _onward(at, origin, -1.0)), *axis)
+        for axis, origin in axes
+    ]
+
+
+def _onward(a: Vector, b: Sequence[float], size: float = 1.0) -> Vector:
+    return (a[0] + size * b[0], a[1] + size * b[1], a[2] + size * b[2])
+
+
+def _product(left: Matrix, right: Sequence[float]) -> Matrix:
+    a, b, c, d, e, f, g, h, i = left
+    x, y, z, u, v, w, r, s, t = right
+    return (
+        a * x + b * u + c * r, a * y + b * v + c * s, a * z + b * w + c * t,
+        d * x + e * u + f * r, d * y + e * v + f * s, d * z + e * w + f * t,
+        g * x + h * u + i * r, g * y + h * v + i * s, g * z + h * w + i * t,
+    )  # fmt: skip
+
+
+def _about(axis: Sequence[float], angle: float) -> Matrix:
+    """Return the turn about a unit axis, by Rodrigues' formula."""
+    (x, y, z), cos, sin = axis, math.cos(angle), math.sin(angle)
+    rest = 1.0 - cos
+    return (
+        cos + rest * x * x, rest * x * y - sin * z, rest * x * z + sin * y,
+        rest * x * y + sin * z, cos + rest * y * y, rest * y * z - sin * x,
+        rest * x * z - sin * y, rest * y * z + sin * x, cos + rest * z * z,
+    )  # fmt: skip
 
 
 def rotate(matrix: Matrix, vector: Sequence[float]) -> Vector:

@@ -2,7 +2,9 @@
 
 In admittance mode the wrench, moved from the sensor's origin to the tip, times the gains is the
 tip's twist t = (v, w). Joint velocities follow by damped least squares, min |J q' - t|^2 +
-d^2 |q'|^2. What the joints can't do (turn about the axis perpendicular to roll and tilt) is lost.
+d^2 |q'|^2. What the joints can't do (turn about the axis perpendicular to roll and tilt) is lost,
+and so is what they could do in a singular pose only at any speed; of the many ways that a redundant
+arm has the slowest is taken.
 """
 
 from __future__ import annotations
@@ -13,8 +15,8 @@ from collections.abc import Sequence
 import numpy as np
 from galen_model.arm.arm import Arm
 
-from galen_sim_driver.plant.config import VELOCITY, HandPush, PlantError
-from galen_sim_driver.plant.geometry import Matrix, cross, rotate, rotate_back, sensor_matrix
+from galen_sim_driver.plant.config import HandPush, PlantError, velocity_limits
+from galen_sim_driver.plant.geometry import Matrix, cross, rotate, rotate_back, tip_jacobian
 
 _GAINS = np.repeat([0.01, 0.5], 3)
 """Velocity of the tip over force, m/s/N, and over torque, rad/s/N.m."""
@@ -94,7 +96,9 @@ def _edge(time_s: float, ramp_s: float) -> float:
 class Admittance:
     """The last wrench fed, and the joint velocities that follow from it."""
 
-    def __init__(self, timeout_s: float) -> None:
+    def __init__(self, timeout_s: float, arm: Arm) -> None:
+        self._arm = arm
+        self._fastest = velocity_limits(arm)
         self._timeout_ns = round(timeout_s * 1e9)
         self._wrench: list[float] | None = None
         self._stamp_ns = 0
@@ -113,7 +117,6 @@ class Admittance:
         now_ns: int,
         joints: Sequence[float],
         tip: Sequence[float],
-        arm: Arm,
     ) -> list[float] | None:
         """Return joint velocities (n,), m/s and rad/s; None without a fresh wrench.
 
@@ -124,10 +127,10 @@ class Admittance:
         force, torque = self._wrench[:3], self._wrench[3:]
         # About the tip, its force having no lever there: tau_tip = tau - tip x f.
         at_tip = [t - m for t, m in zip(torque, cross(tip, force), strict=True)]
-        matrix = sensor_matrix(arm, joints)
+        matrix, columns = tip_jacobian(self._arm, joints, tip)
         twist = _GAINS * np.array([*rotate(matrix, force), *rotate(matrix, at_tip)])
-        jacobian = arm.tip_jacobian(joints, tip)
-        damped = jacobian.T @ jacobian + _DAMPING**2 * np.eye(len(joints))
-        velocities = np.linalg.solve(damped, jacobian.T @ twist)
-        excess = float(np.max(np.abs(velocities) / VELOCITY))
+        transposed = np.array(columns)
+        damped = transposed @ transposed.T + _DAMPING**2 * np.eye(len(joints))
+        velocities = np.linalg.solve(damped, transposed @ twist)
+        excess = float(np.max(np.abs(velocities) / self._fastest))
         return (velocities / max(excess, 1.0)).tolist()

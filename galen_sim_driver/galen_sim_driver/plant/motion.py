@@ -27,7 +27,7 @@ from itertools import pairwise
 
 from galen_model.arm.arm import Arm
 
-from galen_sim_driver.plant.config import ACCELERATION, VELOCITY, PlantError
+from galen_sim_driver.plant.config import PlantError, acceleration_limits, velocity_limits
 
 _NS = 1e-9
 _LARGEST_RATE = 1e6
@@ -239,7 +239,11 @@ class LimitedMotion:
                 velocity**2 / (2.0 * acceleration) + 2.0 * velocity * period_s,
             )
             for velocity, acceleration, low, high in zip(
-                VELOCITY, ACCELERATION, arm.lower.tolist(), arm.upper.tolist(), strict=True
+                velocity_limits(arm),
+                acceleration_limits(arm),
+                arm.lower.tolist(),
+                arm.upper.tolist(),
+                strict=True,
             )
         ]
 
