@@ -1,8 +1,8 @@
-"""`blind_check`: the diagnosis on recordings whose cause it can't know, and what came of it.
+"""`blind_check`: recordings with hidden causes, for any diagnosis, and what came of it.
 
-Recordings are made by an arm in MuJoCo (`blind/mujoco_arm.py`). Their labels are sealed and the
-hash is printed; another process diagnoses; then the labels are opened and all is scored, beside
-simpler methods. `blind/blind_protocol.py` says what is hidden from whom.
+Recordings are made by an arm in MuJoCo (`blind/mujoco_arm.py`), their labels are sealed
+(`blind/labels.py`), answers of any tool are scored (`blind/score.py`). `run` does all of it with
+this program, in a process that can't read the labels (`blind/blind_protocol.py`).
 """
 
 from __future__ import annotations
@@ -11,195 +11,174 @@ import argparse
 import json
 import sys
 import tempfile
-import time
 from collections.abc import Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from galen_model.errors import GalenError
-from galen_model.files.atomic_file import write_whole
 from galen_ros.command import (
     EXIT_OK,
     add_json,
-    add_workers,
-    check_folder,
+    check_parent,
     make_parser,
-    not_negative,
     run_command,
     terminal,
     whole,
-    writing,
 )
 from rich.markdown import Markdown
 
-from galen_diagnosis.blind.blind_protocol import (
-    DIAGNOSING,
-    Places,
-    answered,
-    baselines,
-    diagnose_blind,
-    open_labels,
-    sealed_set,
-)
+from galen_diagnosis.answer.answer import NONE
+from galen_diagnosis.blind import blind_protocol, confine
+from galen_diagnosis.blind.answers import ANSWER
+from galen_diagnosis.blind.baselines import NAIVE_BIC, RMSE_DROP
+from galen_diagnosis.blind.blind_protocol import DIAGNOSING, Generate
 from galen_diagnosis.blind.case import generate
-from galen_diagnosis.blind.labels import forget, private_directory
-from galen_diagnosis.blind.making import Generate, Plan, full_plan, short_plan
-from galen_diagnosis.blind.mujoco_arm import require_mujoco
-from galen_diagnosis.blind.score import PROGRAM, Answered, Score, markdown, score, wrong_answers
-from galen_diagnosis.effects.candidates import SOUGHT
+from galen_diagnosis.blind.diagnosing import PROGRAM
+from galen_diagnosis.blind.labels import beside, open_labels, published_sha256
+from galen_diagnosis.blind.score import Answered, read_answers, score
+from galen_diagnosis.blind.table import fill, tables
 
-_NOTES = """An interrupted check goes on where it stopped, if it is called again with the same
-options and --output. A finished one is only scored again. Single diagnoses that failed count as
-wrong."""
+_NOTES = """A recording takes some 20 MB, about 10 s to make and 12 s to diagnose, on one processor.
+An interrupted make or run goes on if it is called again with the same options."""
 
 
 def build_parser() -> argparse.ArgumentParser:
     """Return the command's options."""
     parser = make_parser(
         "blind_check",
-        "Make recordings with hidden causes, seal the labels, diagnose in another"
-        " process that can't read them, open, and score beside simpler methods.",
+        "Make recordings with hidden causes and sealed labels; score any tool's answers.",
         notes=_NOTES,
-        ok="done; whatever the score, but for --at-least",
-        failed="no recordings can be made or diagnosed, the labels aren't those that were sealed,"
-        " or the score is below --at-least",
+        ok="done, whatever the score; of run --short: all six answers are right",
+        failed="recordings can't be made or diagnosed, the labels aren't those that were sealed,"
+        " no answer of the first tool is valid, or one of run --short is wrong",
     )
-    size = parser.add_mutually_exclusive_group()
-    size.add_argument(
-        "--per-class",
-        type=whole(1),
-        default=3,
-        metavar="N",
-        help="recordings of each effect at each strength; others in proportion (default:"
-        " %(default)s)",
+    steps = parser.add_subparsers(dest="step", required=True)
+    make = steps.add_parser("make", help="make a set in SET, and its labels in SET.labels beside")
+    run = steps.add_parser(
+        "run", help="make, diagnose with this program into SET.answers beside, and score"
     )
-    size.add_argument(
-        "--short", action="store_true", help="one recording of each sort: a check of the program"
-    )
-    parser.add_argument(
-        "--seed",
-        type=whole(0),
-        metavar="N",
-        help="makes the same recordings again (default: a random one, shown when all is open)",
-    )
-    parser.add_argument(
-        "--output",
+    for step, many in ((make, None), (run, "?")):
+        step.add_argument(
+            "set",
+            type=Path,
+            nargs=many,
+            metavar="SET",
+            help="without one, run keeps nothing",
+        )
+        step.add_argument(
+            "--per-class",
+            type=whole(1),
+            default=3,
+            metavar="N",
+            help="recordings of each effect at each strength; others in proportion (default:"
+            " %(default)s)",
+        )
+        step.add_argument(
+            "--healthy",
+            type=whole(0),
+            default=60,
+            metavar="N",
+            help="recordings without a cause (default: %(default)s)",
+        )
+        step.add_argument(
+            "--short", action="store_true", help="six recordings: a check of the program"
+        )
+        step.add_argument(
+            "--seed",
+            type=whole(0),
+            metavar="N",
+            help="makes the same set again (default: a random one, told by the labels)",
+        )
+        step.add_argument(
+            "--workers", type=whole(1), metavar="N", help="processes (default: one a processor)"
+        )
+    scoring = steps.add_parser("score", help="compare tools' answers with the labels")
+    scoring.add_argument("set", type=Path, metavar="SET", help="with labels.json in it or beside")
+    scoring.add_argument(
+        "answers",
         type=Path,
-        metavar="DIR",
-        help="recordings (some 20 MB each), answers, labels and score (default: nothing is kept)",
+        nargs="+",
+        metavar="ANSWERS",
+        help=f"a tool's folder with <recording>/{ANSWER} or <recording>.json",
     )
-    parser.add_argument(
-        "--at-least",
-        type=_share,
-        metavar="SHARE",
-        help="exit with 1 if a diagnosis failed, or top-1 by class of clear and gross singles (what"
-        " the recording can't separate taken as one) is below this, 0 ... 1; with --short also if"
-        " one of its answers is wrong; for CI",
+    scoring.add_argument(
+        "--page",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="Markdown whose tables, each between <!-- NAME --> and <!-- end -->, are written anew"
+        " (made, score, classes, members, arms, notes)",
     )
-    add_json(parser)
-    add_workers(parser)
+    add_json(scoring)
     return parser
 
 
-def _share(text: str) -> float:
-    value = not_negative(text)
-    if value > 1.0:
-        raise argparse.ArgumentTypeError(f"{text} is above 1")
-    return value
+def make(arguments: argparse.Namespace, folder: Path, generate: Generate = generate) -> None:
+    """Make the set; raises GalenError."""
+    check_parent(folder)
+    wanted = {name: getattr(arguments, name) for name in ("per_class", "healthy", "short")}
+    told = blind_protocol.make(folder, wanted, arguments.seed, arguments.workers, generate)
+    print(f"labels sealed in {beside(folder, 'labels')}, SHA-256 {told}", flush=True)
 
 
 def run(
     arguments: argparse.Namespace,
-    output: Path,
+    folder: Path,
     command: Sequence[str] = DIAGNOSING,
     generate: Generate = generate,
 ) -> int:
-    """Run the whole check in `output`; returns the exit code; raises GalenError."""
-    check_folder(output)
-    places = Places(output)
-    if not places.labels.exists():
-        require_mujoco()
-    wanted: dict[str, Any] = {
-        "short": arguments.short,
-        "per_class": None if arguments.short else arguments.per_class,
-    }
-
-    def plan(seed: int) -> Plan:
-        return short_plan(seed) if arguments.short else full_plan(seed, arguments.per_class)
-
-    started_s = time.monotonic()
-    sha256 = sealed_set(places, wanted, arguments.seed, plan, arguments.workers, generate)
-    made_s = time.monotonic()
-    _say(arguments, f"labels sealed before any diagnosis, SHA-256 {sha256}")
-    if not places.labels.exists():
-        locked_out = diagnose_blind(places, arguments.workers, arguments.scheduler, command)
-        if arguments.scheduler is not None:
-            how = "a scheduler's workers, which nothing but ignorance kept from labels"
-        elif locked_out:
-            how = "a process that the system kept from reading the labels"
-        else:
-            how = (
-                "a process that doesn't know where the labels are; this system can't keep it from"
-                " reading them"
-            )
-        _say(arguments, f"diagnosed by {how}")
-    labels = open_labels(places, sha256)
-    _say(arguments, "labels opened: they are those that were sealed")
-    ended_s = time.monotonic()
-    cases = answered(places, labels)
-    beside = baselines(places, labels)
-    scores = {
-        name: score(found, tuple(SOUGHT)) for name, found in {PROGRAM: cases, **beside}.items()
-    }
-    content = {
-        "schema_version": 2,
-        "labels_sha256": sha256,
-        "making_s": made_s - started_s,
-        "diagnosing_s": ended_s - made_s,
-        "scores": {name: one.to_json() for name, one in scores.items()},
-    }
-    tables = markdown(scores)
-    for name, text in (("json", json.dumps(content, indent=1)), ("md", tables + "\n")):
-        path = output / f"blind_check.{name}"
-        with writing(path):
-            write_whole(path, text)
-    if arguments.json:
-        print(json.dumps(content, indent=1))
-    else:
-        terminal(150).print(Markdown(tables))
-    if scores[PROGRAM].failed == len(labels):
-        raise GalenError(f"{output}: no recording could be diagnosed; {_first_failure(places)}")
-    if arguments.at_least is not None:
-        check_score(scores[PROGRAM], arguments.at_least)
-        if arguments.short:
-            check_answers(cases)
+    """Make a set, diagnose and score it; returns the exit code; raises GalenError."""
+    make(arguments, folder, generate)
+    blind_protocol.diagnose(folder, arguments.workers, command)
+    kept = "kept" if confine.available() else "can't keep"
+    print(f"diagnosed by a process that this system {kept} from reading the labels", flush=True)
+    tools = [beside(folder, "answers") / name for name in (PROGRAM, RMSE_DROP, NAIVE_BIC)]
+    cases = scored(folder, [tool for tool in tools if tool.is_dir()] or tools[:1])
+    wrong = [
+        f"{case.label.recording}: verdict {case.verdict or case.why} of {case.label.names or NONE}"
+        for case in cases
+        if not case.solved
+    ]
+    if arguments.short and wrong:
+        raise GalenError(f"{len(wrong)} of {len(cases)} answers are wrong: {'; '.join(wrong)}")
     return EXIT_OK
 
 
-def check_score(found: Score, at_least: float) -> None:
-    """Raise GalenError unless all were diagnosed and enough singles were right."""
-    if found.failed:
-        raise GalenError(f"{found.failed} of {found.cases} diagnoses failed")
-    reached = found.numbers["top1_by_class_accepted"]
-    if reached is not None and reached < at_least:
-        raise GalenError(f"top-1 by class is {reached:.3f}, below the {at_least:g} wanted")
+def scored(
+    folder: Path, tools: Sequence[Path], pages: Sequence[Path] = (), as_json: bool = False
+) -> list[Answered]:
+    """Score tools side by side and print that; returns the first one's; raises GalenError."""
+    plan, labels = open_labels(folder)
+    cases = {tool.resolve().name: read_answers(labels, tool) for tool in tools}
+    if len(cases) < len(tools):
+        raise GalenError("two folders of answers have the same name; tools go by their names")
+    found = tables(cases, _made(folder, plan, len(labels)))
+    if as_json:
+        scores: dict[str, Any] = {tool: score(own).to_json() for tool, own in cases.items()}
+        print(json.dumps({"labels_sha256": published_sha256(folder), "scores": scores}, indent=1))
+    else:
+        terminal(150).print(Markdown("\n\n".join(text for text in found.values() if text)))
+    for page in pages:
+        fill(page, found)
+    first, own = next(iter(cases.items()))
+    if labels and all(case.said is None for case in own):
+        raise GalenError(f"{first}: no recording has a valid answer; the first: {own[0].why}")
+    return own
 
 
-def check_answers(cases: Sequence[Answered]) -> None:
-    """Raise GalenError unless every answer is right, verdict and causes."""
-    if wrong := wrong_answers(cases):
-        raise GalenError(f"{len(wrong)} of {len(cases)} answers are wrong: {'; '.join(wrong)}")
-
-
-def _say(arguments: argparse.Namespace, text: str) -> None:
-    """Print beside what --json prints."""
-    print(text, file=sys.stderr if arguments.json else sys.stdout, flush=True)
-
-
-def _first_failure(places: Places) -> str:
-    for path in sorted(places.answers.glob("*/failed.txt")):
-        return path.read_text(encoding="utf-8").strip()
-    return "the diagnosing process gave no reason"
+def _made(folder: Path, plan: dict[str, Any], recordings: int) -> str:
+    """Say of which set a table is, and when it was scored."""
+    options = "--short" if plan.get("short") else ""
+    for name in () if options else ("per_class", "healthy"):
+        options += f" --{name.replace('_', '-')} {plan.get(name)}"
+    return (
+        f"{recordings} recordings of `ros2 run galen_diagnosis blind_check make SET"
+        f" --seed {plan.get('seed')} {options.strip()}`, labels' SHA-256"
+        f" `{published_sha256(folder)}`, scored on {datetime.now(UTC):%Y-%m-%d}. Intervals are"
+        " Wilson's, 95 %."
+    )
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -207,13 +186,16 @@ def main(args: Sequence[str] | None = None) -> int:
     arguments = build_parser().parse_args(args)
 
     def work() -> int:
-        if arguments.output is not None:
-            return run(arguments, arguments.output)
-        with tempfile.TemporaryDirectory(prefix="galen_blind_check_") as folder:
-            try:
-                return run(arguments, Path(folder))
-            finally:
-                forget(private_directory(Path(folder)))
+        if arguments.step == "make":
+            make(arguments, arguments.set)
+        elif arguments.step == "score":
+            scored(arguments.set, arguments.answers, arguments.page, arguments.json)
+        elif arguments.set is not None:
+            return run(arguments, arguments.set)
+        else:
+            with tempfile.TemporaryDirectory(prefix="galen_blind_check_") as kept:
+                return run(arguments, Path(kept) / "set")
+        return EXIT_OK
 
     return run_command("blind_check", work)
 

@@ -10,27 +10,40 @@ import argparse
 import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
+from hashlib import sha256
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from galen_bags.archive import (
+    Archive,
+    add_results,
+    find_recordings,
+    local_copy,
+    place,
+    print_summary,
+)
 from galen_bags.arrays.joint_table import add_column_options, joint_columns, read_joint_runs
 from galen_bags.arrays.tables import ORIENTATIONS, read_table, read_text_table
-from galen_bags.many import run_many
+from galen_bags.many import ArchivedRecording, Place, name_depth, name_of, run_many
 from galen_model.arm.galen import GALEN, WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.evidence.held_out import BlockRows, Effects
 from galen_model.files.calibration_file import read_calibration
+from galen_model.load.inertia import point_mass_inertia
 from galen_model.transmission import time_blocks, whole_runs
+from galen_ros.arm import add_arm, chosen_arm
 from galen_ros.command import (
     EXIT_FAILED,
     EXIT_OK,
     ProgressLine,
     add_json,
+    add_table_columns,
     add_tool_file,
     add_workers,
     check_file,
@@ -40,19 +53,29 @@ from galen_ros.command import (
     run_command,
     terminal,
 )
-from galen_sim_driver.effects.effect import ConfigError
+from galen_sim_driver.effects.effect import ConfigError, Effect
+from galen_sim_driver.effects.load import InertialLoad, ToolMassError
 from rich.console import Console
 
 from galen_diagnosis.answer.answer import Answer, Diagnosis
+from galen_diagnosis.answer.corrections import corrections
 from galen_diagnosis.experiment.next_experiment import write_sweep
 from galen_diagnosis.inference.diagnosing import diagnose_recording
-from galen_diagnosis.observation.recording import read_recording
+from galen_diagnosis.observation.recording import (
+    RECORDING_FILES,
+    DiagnosticRecording,
+    read_recording,
+)
+from galen_diagnosis.observation.rows import BAGS
 from galen_diagnosis.report.report import (
+    COLUMNS,
     EFFECT,
+    RESULT_VERSION,
     check_output,
     effect_file,
     print_answer,
     print_overview,
+    to_row,
     write_output,
 )
 from galen_diagnosis.tables.conclusion import diagnose_blocks
@@ -69,9 +92,13 @@ _NOTES = """written to the output directory, whole or not at all:
   diagnosis.json     the answer, for programs
   report.html        the same with pictures, for people; opens without a network
   found_effect.yaml  what was found in a recording, as parameters of sim_driver_node
+  corrected.urdf, corrected_TOOL.json
+                     where what was identified can be corrected in the robot description or the
+                     calibration file: the corrected ones
   pictures/          the report's pictures"""
 _INPUTS = {
-    "recording": "directory with the bags sweep, motion, push (or some of them) and tool.json; a"
+    "recording": "directory with the bags sweep, motion, push (or some of them) and tool.json, or"
+    " one that is searched for such; a path or URL (s3://, gs://, az://, https://). A"
     " text TABLE of wrenches with orientations, or of the two ends of a joint, is diagnosed as"
     " such: `diagnose TABLE --help` has its options",
     "table": "text tables, each by itself: fx .. tz and an orientation ("
@@ -84,37 +111,76 @@ _INPUTS = {
 
 @dataclass(frozen=True)
 class Job:
-    """Diagnoses each recording; picklable, for workers."""
+    """Diagnoses each recording; picklable, for workers.
 
-    tool: Path | None
-    folders: dict[Path, Path]
+    What is written goes to the recording's folder of `folders`, or into one in `output` that is
+    named by so many parts of the recording's place. inertial_forces: the nominal model has them.
+    """
+
+    tool: Place | None
+    folders: Mapping[Any, Path]
     report: bool
     overwrite: bool
+    output: Path | None = None
+    name_parts: int = 1
+    inertial_forces: bool = False
 
-    def __call__(self, recording: Path) -> dict[str, Any]:
+    def __call__(self, recording: Place) -> dict[str, Any]:
         """Diagnose and write; returns what diagnosis.json holds."""
         return self.diagnose(recording, lambda stage, share: None).answer.to_json()
 
-    def diagnose(self, recording: Path, progress: Callable[[str, float], None]) -> Diagnosis:
+    def diagnose(self, place: Place, progress: Callable[[str, float], None]) -> Diagnosis:
         """Diagnose and write; raises GalenError. progress: told each stage, and what is done."""
-        folder = self.folders[recording]
-        check_output(folder, overwrite=self.overwrite)
+        folder = self.folders.get(place)
+        if self.output is not None:
+            folder = self.output / f"diagnosis_{name_of(place, self.name_parts)}"
+        if folder is not None:
+            check_output(folder, overwrite=self.overwrite)
         progress("reading", 0.0)
-        diagnosis = diagnose_recording(
-            read_recording(recording, self.tool),
-            progress=lambda stage, share: progress(stage, _READ + share * _DIAGNOSED),
-        )
+        with ExitStack() as copies:
+            copied = local_copy(place, folders=BAGS, files=RECORDING_FILES)
+            tool = self.tool and copies.enter_context(local_copy(self.tool))
+            recording = read_recording(
+                copies.enter_context(copied), tool, inertial_forces=self.inertial_forces
+            )
+            diagnosis = diagnose_recording(
+                recording,
+                progress=lambda stage, share: progress(stage, _READ + share * _DIAGNOSED),
+            )
+        if folder is None:
+            return diagnosis
         progress("writing", _READ + _DIAGNOSED)
-        answer, driver = diagnosis.answer, None
+        corrected = corrections(recording, diagnosis)
+        answer = replace(diagnosis.answer, corrections=corrected.sentences)
+        files = dict(corrected.files)
         try:
-            driver = effect_file(answer.recording, diagnosis.effects)
+            found = in_driver(recording, diagnosis.effects)
+            driver = effect_file(answer.recording, found, recording.arm)
+            files |= {EFFECT: driver} if driver else {}
         except ConfigError as error:
             problem = f"{EFFECT} is not written: {error}"
             answer = replace(answer, problems=(*answer.problems, problem))
-            diagnosis = replace(diagnosis, answer=answer)
+        diagnosis = replace(diagnosis, answer=answer)
         draw = partial(_draw, diagnosis) if self.report else None
-        write_output(answer, folder, driver=driver, draw=draw, overwrite=self.overwrite)
+        write_output(answer, folder, files=files, draw=draw, overwrite=self.overwrite)
         return diagnosis
+
+
+def in_driver(recording: DiagnosticRecording, effects: Sequence[Effect]) -> tuple[Effect, ...]:
+    """Return found effects for a driver, which itself has none that are nominal here."""
+    inertia = recording.inertia_kg_m2
+    if not effects:
+        return ()
+    effects = (*recording.nominal_effects, *effects)
+    if inertia is None:
+        return effects
+    loads = recording.tool.load.load, recording.tool.adapter.load
+    beyond = next((e for e in effects if isinstance(e, InertialLoad)), InertialLoad())
+    own = inertia - point_mass_inertia(*loads) + np.array(beyond.own_inertia_kg_m2)
+    mass_kg = sum(load.mass_kg for load in loads) + beyond.mass_kg
+    mass_kg += sum(e.delta_kg for e in effects if isinstance(e, ToolMassError))
+    whole = InertialLoad(mass_kg, tuple(own.tolist()))
+    return (*(e for e in effects if not isinstance(e, InertialLoad)), whole)
 
 
 def _draw(diagnosis: Diagnosis, folder: Path) -> Mapping[str, Path]:
@@ -140,7 +206,9 @@ def build_parser(kind: Kind = "recording") -> argparse.ArgumentParser:
         codes={EXIT_GAP: "with --fail-on-gap: an input has a gap (any verdict but none)"},
     )
     name = kind.upper()
-    parser.add_argument("inputs", nargs="+", type=Path, metavar=name, help=_INPUTS[kind])
+    # Tables are files here.
+    types = place if kind == "recording" else Path
+    parser.add_argument("inputs", nargs="+", type=types, metavar=name, help=_INPUTS[kind])
     parser.add_argument(
         "--output",
         type=Path,
@@ -159,13 +227,19 @@ def build_parser(kind: Kind = "recording") -> argparse.ArgumentParser:
     if kind == "joint":
         add_column_options(parser.add_argument_group("columns"))
     else:
-        add_tool_file(parser, "the tool's calibration file (default: the recording's; of a table"
-                      " the load is fitted)")  # fmt: skip
+        what = "the tool's calibration file (default: the recording's; of a table, it is fitted)"
+        add_tool_file(parser, what).type = types
         (_add_table_options if kind == "table" else _add_recording_options)(parser)
     return parser
 
 
 def _add_recording_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--inertial-forces",
+        action="store_true",
+        help="the nominal model has the inertial forces of tool and adapter, by the calibration"
+        " file, as gravcomp_node has them with its parameter motion",
+    )
     parser.add_argument(
         "--next",
         type=Path,
@@ -173,19 +247,12 @@ def _add_recording_options(parser: argparse.ArgumentParser) -> None:
         help="write the experiment that would separate the causes that are left, as parameters of"
         " the node that runs it; none where no causes are left to separate (one recording only)",
     )
+    add_results(parser)
     add_workers(parser)
 
 
 def _add_table_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--columns", metavar="NAMES", help="of a table without a first line of names; - skips one"
-    )
-    parser.add_argument(
-        "--wrench-frame",
-        choices=("sensor", "base"),
-        default="sensor",
-        help="the axes that wrenches are written in (default: %(default)s)",
-    )
+    add_table_columns(parser)
     parser.add_argument(
         "--noise",
         type=Path,
@@ -200,11 +267,12 @@ def _add_table_options(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="rows are means over this in rest segments (default: %(default)g)",
     )
+    add_arm(parser)
 
 
-def output_folders(inputs: Sequence[Path], output: Path | None) -> dict[Path, Path]:
+def output_folders(inputs: Sequence[Place], output: Path | None) -> dict[Any, Path]:
     """Return each input's directory; raises GalenError where two would go to one."""
-    folders: dict[Path, Path] = {}
+    folders: dict[Any, Path] = {}
     for path in inputs:
         name = f"diagnosis_{_name(path)}"
         if output is None:
@@ -220,7 +288,9 @@ def output_folders(inputs: Sequence[Path], output: Path | None) -> dict[Path, Pa
     return folders
 
 
-def _name(path: Path) -> str:
+def _name(path: Place) -> str:
+    if isinstance(path, str):
+        return name_of(path)
     return path.stem if path.is_file() else path.resolve().name or "recording"
 
 
@@ -229,14 +299,33 @@ def _name(path: Path) -> str:
 
 def _recordings(arguments: argparse.Namespace, console: Console) -> int:
     # A cluster's workers have another working directory.
-    place = Path.absolute if arguments.scheduler else Path
-    recordings = [place(recording) for recording in arguments.inputs]
+    local = Path.absolute if arguments.scheduler else Path
+
+    def seen(one: Place) -> Place:
+        return local(one) if isinstance(one, Path) else one
+
+    found = find_recordings([seen(one) for one in arguments.inputs], BAGS, RECORDING_FILES)
+    recordings = [recording.place for recording in found]
+    tool = None if arguments.tool is None else seen(arguments.tool)
+    if arguments.results is not None:
+        job = Job(
+            tool,
+            folders={},
+            report=not arguments.no_report,
+            overwrite=arguments.overwrite,
+            output=None if arguments.output is None else local(arguments.output),
+            name_parts=name_depth(recordings),
+            inertial_forces=arguments.inertial_forces,
+        )
+        archive = Archive(job, seen(arguments.results), _known(tool, arguments.inertial_forces))
+        return _archive(archive, found, arguments)
     folders = output_folders(recordings, arguments.output)
     job = Job(
-        tool=None if arguments.tool is None else place(arguments.tool),
-        folders={recording: place(folder) for recording, folder in folders.items()},
+        tool,
+        folders={recording: local(folder) for recording, folder in folders.items()},
         report=not arguments.no_report,
         overwrite=arguments.overwrite,
+        inertial_forces=arguments.inertial_forces,
     )
     for folder in folders.values():
         check_output(folder, overwrite=arguments.overwrite)  # before minutes of work
@@ -259,7 +348,28 @@ def _recordings(arguments: argparse.Namespace, console: Console) -> int:
     return _code(arguments, [row["verdict"] for row in rows])
 
 
-def _one(job: Job, recording: Path, arguments: argparse.Namespace, console: Console) -> int:
+def _known(tool: Place | None, inertial_forces: bool) -> dict[str, Any]:
+    """Return what a result depends on beside its recording."""
+    known: dict[str, Any] = {"diagnose": RESULT_VERSION, "inertial_forces": inertial_forces}
+    if tool is not None:
+        with local_copy(tool) as path:
+            if not path.is_file():
+                read_calibration(path)  # one message, and not one a recording
+            known["tool_sha256"] = sha256(path.read_bytes()).hexdigest()
+    return known
+
+
+def _archive(
+    archive: Archive, recordings: Sequence[ArchivedRecording], arguments: argparse.Namespace
+) -> int:
+    summary = archive.run(
+        recordings, COLUMNS, to_row, scheduler=arguments.scheduler, workers=arguments.workers
+    )
+    print_summary(summary, as_json=arguments.json)
+    return EXIT_FAILED if summary["failed"] else _code(arguments, list(summary["verdicts"]))
+
+
+def _one(job: Job, recording: Place, arguments: argparse.Namespace, console: Console) -> int:
     with ProgressLine(quiet=arguments.json) as line:
         diagnosis = job.diagnose(recording, lambda stage, share: line.show(stage, share, 1.0))
     if arguments.next is not None:
@@ -267,7 +377,7 @@ def _one(job: Job, recording: Path, arguments: argparse.Namespace, console: Cons
             print(f"diagnose: {arguments.next} not written: {_why_none(diagnosis.answer)}",
                   file=sys.stderr)  # fmt: skip
         else:
-            write_sweep(diagnosis.experiment, arguments.next)
+            write_sweep(diagnosis.experiment, arguments.next, diagnosis.rows.arm)
     if arguments.json:
         print_json(diagnosis.answer.to_json())
     else:
@@ -309,7 +419,7 @@ def _tables(kind: Kind, arguments: argparse.Namespace, console: Console) -> int:
                 _name(path), *_prepared(kind, path, arguments), progress=line.show
             )
         draw = None if arguments.no_report else _no_pictures
-        write_output(answer, folder, draw=draw, overwrite=arguments.overwrite)
+        write_output(answer, folder, files={}, draw=draw, overwrite=arguments.overwrite)
         if not arguments.json:
             _print(answer, folder, console)
         answers.append(answer)
@@ -328,10 +438,11 @@ def _prepared(
             runs, whole_runs(runs) if len(runs) >= _RUNS else time_blocks(runs, _BLOCKS)
         )
     columns = arguments.columns.split(",") if arguments.columns else None
+    arm = chosen_arm(arguments)
     return prepare_table(
-        read_table(path, columns, arguments.wrench_frame),
+        read_table(path, columns, arguments.wrench_frame, arm),
         noise=None if arguments.noise is None else _noise(arguments.noise),
-        tool=None if arguments.tool is None else read_calibration(arguments.tool),
+        tool=None if arguments.tool is None else read_calibration(arguments.tool, arm),
         window_s=arguments.average_s,
     )
 
@@ -347,7 +458,7 @@ def _kind(given: Sequence[str]) -> Kind:
     if all(word.startswith("-") for word in words):
         return "recording"
     known, others = build_parser().parse_known_args(words)
-    tables = [path for path in known.inputs if path.is_file()]
+    tables = [path for path in known.inputs if isinstance(path, Path) and path.is_file()]
     if not tables:
         return "recording"
     named = [word.partition("=")[2] for word in others if word.startswith("--columns=")]
@@ -372,8 +483,8 @@ def main(args: Sequence[str] | None = None) -> int:
     arguments = parser.parse_args(given)
     if kind != "recording":
         return run_command("diagnose", lambda: _tables(kind, arguments, terminal(170)))
-    if arguments.next is not None and len(arguments.inputs) > 1:
-        parser.error("--next is for one RECORDING")
+    if arguments.next is not None and (len(arguments.inputs) > 1 or arguments.results):
+        parser.error("--next is for one RECORDING, without --results")
     return run_command("diagnose", lambda: _recordings(arguments, terminal()))
 
 

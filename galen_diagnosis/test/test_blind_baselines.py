@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
+from galen_diagnosis.blind.answers import parse_answer
 from galen_diagnosis.blind.baselines import NAIVE_BIC, RMSE_DROP, explained, simple_answers
-from galen_diagnosis.blind.labels import parse_answer
 from galen_model.evidence.linear import Background
 
 
@@ -23,7 +23,7 @@ def test_what_columns_explain_is_that_of_a_least_squares_fit():
 def test_the_simple_methods_answer_as_they_are_known_to():
     n = 1000
     found = simple_answers(n, 1000.0, {"gain": (995.0, 1), "wide": (960.0, 60)})
-    drop, bic = (parse_answer("r", found[name]) for name in (RMSE_DROP, NAIVE_BIC))
+    drop, bic = (parse_answer(found[name]) for name in (RMSE_DROP, NAIVE_BIC))
     assert drop.first == "wide" and drop.verdict == "identified"
     # 60 parameters cost 414, and 1 costs 6.9; neither gains as much: none it is.
     assert bic.first == "none" and bic.verdict == "none" and not bic.causes
@@ -31,6 +31,6 @@ def test_the_simple_methods_answer_as_they_are_known_to():
     odds = 0.5 * (n * np.log(1000.0 / 995.0) - np.log(n))
     assert bic.ranking["gain"] / bic.ranking["none"] == pytest.approx(np.exp(odds))
     clear = simple_answers(n, 1000.0, {"gain": (900.0, 1), "wide": (880.0, 60)})
-    assert parse_answer("r", clear[NAIVE_BIC]).first == "gain"
-    quiet = parse_answer("r", simple_answers(n, 1000.0, {"gain": (999.0, 1)})[RMSE_DROP])
+    assert parse_answer(clear[NAIVE_BIC]).first == "gain"
+    quiet = parse_answer(simple_answers(n, 1000.0, {"gain": (999.0, 1)})[RMSE_DROP])
     assert quiet.first == "none"

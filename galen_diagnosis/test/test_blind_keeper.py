@@ -1,47 +1,32 @@
 import json
-import os
 import stat
+import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from galen_diagnosis.blind import confine
-from galen_diagnosis.blind.blind_protocol import Places, open_labels, sealed_set
+from galen_diagnosis.blind import blind_protocol, confine
+from galen_diagnosis.blind.baselines import NAIVE_BIC
+from galen_diagnosis.blind.blind_protocol import full_plan, make, short_plan
 from galen_diagnosis.blind.case import STRENGTHS, Truth
 from galen_diagnosis.blind.causes import EFFECTS
-from galen_diagnosis.blind.labels import (
-    Label,
-    ParsedAnswer,
-    opened,
-    private_directory,
-    sealed,
-    write_sealed,
-)
-from galen_diagnosis.blind.making import CALIBRATION, TEST, full_plan, make_all, short_plan
-from galen_diagnosis.blind.score import Answered, score
+from galen_diagnosis.blind.diagnosing import PROGRAM
+from galen_diagnosis.blind.labels import open_labels
 from galen_diagnosis.blind.unlisted import CALIBRATION_UNKNOWN, TEST_UNKNOWN
 from galen_model.errors import GalenError
 
 from galen_diagnosis import blind_check
 
 PROBE = (sys.executable, str(Path(__file__).with_name("blind_probe.py")))
-
-
-@pytest.fixture(autouse=True)
-def own_home(tmp_path, monkeypatch):
-    """Labels of tests lie in a home of their own."""
-    monkeypatch.setenv("HOME", str(tmp_path / "home"))
-    monkeypatch.delenv("XDG_STATE_HOME", raising=False)
-    (tmp_path / "home").mkdir()
-    return tmp_path / "home"
+SHORT = {"per_class": 3, "healthy": 60, "short": True}
 
 
 def fake_generate(case, directory):
     """A recording of one small file; what the probe is to answer stands in it."""
     drawn = {"none": (), "pair": EFFECTS[:2]}.get(case.kind, ("hail",))
     effects = case.effects or drawn
-    reads = {"none": "none", TEST: "unknown"}.get(case.kind, effects[0] if effects else "none")
+    reads = {"none": "none", "unknown_test": "unknown"}.get(case.kind, (*effects, "none")[0])
     if effects == ("bias_step",):
         reads = "breaks"
     directory.mkdir(parents=True)
@@ -51,215 +36,185 @@ def fake_generate(case, directory):
     return Truth(case.strength, hidden, (30.0,) * len(effects), same)
 
 
-def arguments(*options):
-    return blind_check.build_parser().parse_args(["--workers", "1", *options])
+def parsed(*options):
+    return blind_check.build_parser().parse_args(options)
 
 
-def check(output, *options, **others):
-    return blind_check.run(
-        arguments("--output", str(output), *options), output, PROBE, fake_generate, **others
-    )
+def run(folder, *options, generate=fake_generate):
+    arguments = parsed("run", str(folder), "--workers", "1", *options)
+    return blind_check.run(arguments, folder, PROBE, generate)
 
 
-def test_the_whole_way_and_what_the_diagnosing_process_can_see(tmp_path, own_home, capsys):
-    output = tmp_path / "out"
-    assert check(output, "--short", "--json") == 0
-    printed = capsys.readouterr()
-    lines = printed.err.splitlines()
-    content = json.loads(printed.out)
-    assert lines[0].endswith(content["labels_sha256"])
-    scores = content["scores"]
-    assert list(scores) == ["galen_diagnosis", "naive"]
-    own = scores["galen_diagnosis"]
-    # Of six sorts one breaks, and is counted as wrong; the rest is right.
-    assert (own["cases"], own["failed"]) == (6, 1)
-    counts = {name: (one["hits"], one["of"]) for name, one in own["rates"].items()}
-    assert counts["top1_clear"] == (1, 2) and counts["top1_gross"] == (1, 1)
-    assert counts["false_alarms"] == (0, 1) and counts["unknown_by_verdict"] == (1, 1)
-    assert scores["naive"]["rates"]["top1_gross"]["hits"] == 0
-    assert "| healthy: false alarms | ≤ 3 % | 0 %" in (output / "blind_check.md").read_text()
-    assert not list((own_home / ".local/state/galen_blind_check").iterdir())
-
-    labels = json.loads((output / "labels.json").read_text())["labels"]
-    assert len({label["recording"] for label in labels}) == 6
-    private = str(own_home / ".local/state/galen_blind_check")
-    besides = sorted((output / "answers").glob("*/beside.json"))
-    assert len(besides) == 5
-    for beside in besides:
-        seen = json.loads(beside.read_text())["attempts"]
-        given = json.dumps([seen["argv"], seen["env"], seen["cwd"]])
-        assert private not in given and "secret" not in given
-        assert seen["cwd"] == str(output / "recordings")
-        for label in labels:
-            assert label["kind"] not in " ".join(seen["argv"])
+def test_a_run_from_the_plan_to_the_score(tmp_path, capfd):
+    folder = tmp_path / "set"
+    with pytest.raises(GalenError, match=r"2 of 6 .*no answer of \('bias_step',\)"):
+        run(folder, "--short", "--seed", "3")
+    printed = capfd.readouterr()
+    assert "no diagnosis of this" in printed.err
+    seal = (folder / "labels.sha256").read_text()
+    assert printed.out.splitlines()[0].endswith(seal.split()[0])
+    inside = {path.name for path in folder.rglob("*") if path.is_file()}
+    assert inside == {"README.md", "labels.sha256", "tool.json", "arm.urdf"}
+    private = tmp_path / "set.labels"
+    assert stat.S_IMODE(private.stat().st_mode) == 0o700
+    answers = sorted((tmp_path / "set.answers" / PROGRAM).glob("*/diagnosis.json"))
+    assert len(answers) == 5
+    for answer in answers:
+        tried = json.loads(answer.read_text())["attempts"]
+        assert len(tried) == 3
         if confine.available():
-            assert lines[1].startswith("diagnosed by a process that the system kept")
-            assert seen["tried"][private] in ([], "PermissionError")
-            assert seen["tried"][f"/proc/{os.getpid()}/mem"] == "PermissionError"
-        else:
-            assert "this system can't" in lines[1]
+            assert set(tried.values()) == {"PermissionError"}
+
+    # Called again it asks only for what has no answer.
+    stamps = [path.stat().st_mtime_ns for path in answers]
+    with pytest.raises(GalenError):
+        run(folder, "--short", generate=None)
+    assert [path.stat().st_mtime_ns for path in answers] == stamps
+    capfd.readouterr()
+
+    tools = [str(tmp_path / "set.answers" / name) for name in (PROGRAM, NAIVE_BIC)]
+    assert blind_check.main(["score", str(folder), *tools, "--json"]) == 0
+    scores = json.loads(capfd.readouterr().out)["scores"]
+    assert list(scores) == [PROGRAM, NAIVE_BIC]
+    # One breaks and is counted as wrong, and the pair's second effect isn't named.
+    values = scores[PROGRAM]["values"]
+    assert values["top1_clear"]["hits"] == 1 and values["top1_gross"]["hits"] == 1
+    assert values["failed"]["hits"] == 1 and values["pairs_named"]["hits"] == 0
+    assert values["unlisted"]["hits"] == 1 and values["false_alarms"]["hits"] == 0
+    assert scores[NAIVE_BIC]["values"]["top1_gross"]["hits"] == 0
 
 
 @pytest.mark.skipif(not confine.available(), reason="this system has no Landlock")
-def test_the_lock_holds_and_is_not_there_without_it(tmp_path):
-    import subprocess
-
-    secret = tmp_path / "state" / "secret"
-    (tmp_path / "seen").mkdir()
+def test_the_lock_takes_one_directory_from_a_process_and_its_children(tmp_path):
+    secret, beside = tmp_path / "state" / "secret", tmp_path / "state" / "beside"
     secret.mkdir(parents=True)
     (secret / "labels.json").write_text("truth")
-    (tmp_path / "state" / "beside").write_text("free")
+    beside.mkdir()
     program = (
-        "import pathlib, sys\n"
-        "for path in sys.argv[1:]:\n"
-        "    try: print(pathlib.Path(path).read_text())\n"
-        "    except PermissionError: print('rejected')\n"
-        "p = pathlib.Path('seen/new'); p.write_text('own'); print(p.read_text())\n"
+        "import pathlib, subprocess, sys\n"
+        "from galen_diagnosis.blind.confine import lock_out\n"
+        "lock_out(pathlib.Path('secret'))\n"
+        "pathlib.Path('beside/new').write_text('own')\n"
+        "for name in ('beside/new', 'secret/labels.json'):\n"
+        "    subprocess.run(['cat', name])\n"
     )
-    asked = [str(secret / "labels.json"), str(tmp_path / "state" / "beside")]
-    command = [sys.executable, "-c", program, *asked]
-    lock = [sys.executable, "-m", "galen_diagnosis.blind.confine", "--allow", "seen", "--"]
-    for start, expected in ((lock, ["rejected", "free", "own"]), ([], ["truth", "free", "own"])):
-        done = subprocess.run(
-            [*start, *command], input=f"{secret}\n", text=True, capture_output=True, cwd=tmp_path,
-            check=True,
-        )  # fmt: skip
-        assert done.stdout.split() == expected
+    done = subprocess.run(
+        [sys.executable, "-c", program], text=True, capture_output=True, cwd=tmp_path / "state"
+    )
+    assert done.stdout == "own" and "Permission denied" in done.stderr
+
+
+def test_a_seed_makes_the_same_set_and_its_hash_tells_no_label(tmp_path):
+    told = [
+        make(tmp_path / name, SHORT, seed, 1, fake_generate)
+        for name, seed in zip("abc", (7, 7, 8), strict=True)
+    ]
+    assert told[0] == told[1] != told[2]
+    plan, labels = open_labels(tmp_path / "a")
+    assert plan["seed"] == 7 and len(labels) == 6
+    # Without a seed 64 random bits are in the text that is hashed.
+    make(tmp_path / "d", SHORT, None, 1, fake_generate)
+    assert open_labels(tmp_path / "d")[0]["seed"] > 2**32
 
 
 def test_recordings_tell_nothing_by_their_names_order_and_times(tmp_path):
-    plan = full_plan(5, 1)
-    labels = make_all(plan, tmp_path / "r", tmp_path / "p", 1, fake_generate)
+    make(tmp_path / "set", {"per_class": 1, "healthy": 20, "short": False}, 5, 1, fake_generate)
+    recordings = tmp_path / "set" / "recordings"
+    _, labels = open_labels(tmp_path / "set")
     names = [label.recording for label in labels]
-    assert sorted(names) == names == sorted(path.name for path in (tmp_path / "r").iterdir())
-    times = {path.stat().st_mtime for path in (tmp_path / "r").rglob("*")}
-    assert len(times) == 1
+    assert sorted(names) == names == sorted(path.name for path in recordings.iterdir())
+    assert len({path.stat().st_mtime for path in recordings.rglob("*")}) == 1
     # The kinds come in no order: as many changes between neighbours as a shuffle has.
     kinds = np.array([label.kind for label in labels])
     random = np.random.default_rng(0)
     shuffled = [np.sum(np.diff(random.permutation(kinds) == "single")) for _ in range(400)]
     low, high = np.quantile(shuffled, [0.005, 0.995])
     assert low <= np.sum(np.diff(kinds == "single")) <= high
-    inside = {path.name for path in (tmp_path / "r").rglob("*") if path.is_file()}
-    assert inside == {"tool.json"}
 
 
 def test_plans():
-    plan = full_plan(5, 2)
-    assert plan == full_plan(5, 2) != full_plan(6, 2)
-    kinds = [case.kind for case in plan.values()]
-    singles = [(c.effects, c.strength) for c in plan.values() if c.kind == "single"]
-    assert len(singles) == 2 * 23 * 3
-    assert set(singles) == {((effect,), strength) for effect in EFFECTS for strength in STRENGTHS}
-    assert kinds.count("none") == 40
-    asked = {case.effects[0] for case in plan.values() if case.kind == TEST}
-    other = full_plan(5, 1, unknown=CALIBRATION)
-    trained = {case.effects[0] for case in other.values() if case.kind == CALIBRATION}
-    assert asked == set(TEST_UNKNOWN) and trained == set(CALIBRATION_UNKNOWN)
-    assert not asked & trained
-    assert len({case.seed for case in plan.values()}) == len(plan)
-    assert {case.kind for case in short_plan(1).values()} == {"none", "single", "pair", TEST}
+    plan = full_plan(5, 2, 20)
+    assert plan == full_plan(5, 2, 20) != full_plan(6, 2, 20)
+    cases = list(plan.values())
+    singles = [(c.effects[0].partition(":")[0], c.strength) for c in cases if c.kind == "single"]
+    classes = {effect.partition(":")[0] for effect in EFFECTS}
+    assert sorted(singles) == sorted((one, s) for one in classes for s in STRENGTHS for _ in (0, 1))
+    assert [c.kind for c in cases].count("none") == 20
+    asked = {case.effects[0] for case in cases if case.kind == "unknown_test"}
+    assert asked == set(TEST_UNKNOWN) and not asked & set(CALIBRATION_UNKNOWN)
+    assert len({case.seed for case in cases}) == len(plan)
+    of_six = [case.kind for case in cases if case.arm == "six_axis"]
+    assert 0.2 < len(of_six) / len(plan) < 0.26
+    assert set(of_six) >= {"single", "pair", "none", "unknown_test"}
+    assert {c.kind for c in short_plan(1).values()} == {"none", "single", "pair", "unknown_test"}
 
 
-def test_a_changed_label_or_recording_does_not_open(tmp_path):
-    places = Places(tmp_path / "out")
-    told = sealed_set(places, {}, 4, short_plan, 1, fake_generate)
-    private = private_directory(places.output)
-    assert stat.S_IMODE(private.stat().st_mode) == 0o700
-    path = private / "labels.json"
-    assert stat.S_IMODE(path.stat().st_mode) == 0o600
-    whole = path.read_text()
-    write_sealed(path, whole.replace('"none"', '"gain"', 1))
+def test_changed_labels_do_not_open(tmp_path):
+    make(tmp_path / "set", SHORT, 4, 1, fake_generate)
+    path = tmp_path / "set.labels" / "labels.json"
+    published = path.read_text()
+    path.rename(tmp_path / "set" / "labels.json")
+    assert len(open_labels(tmp_path / "set")[1]) == 6
+    (tmp_path / "set" / "labels.json").write_text(published.replace('"none"', '"single"', 1))
     with pytest.raises(GalenError, match="isn't what was sealed"):
-        open_labels(places, told)
-    write_sealed(path, whole)
-    recording = next(places.recordings.iterdir())
-    before = (recording / "tool.json").read_text()
-    (recording / "tool.json").write_text(before + " ")
-    with pytest.raises(GalenError, match=recording.name):
-        open_labels(places, told)
-    assert not places.labels.exists()
-    (recording / "tool.json").write_text(before)
-    assert len(open_labels(places, told)) == 6
-    assert open_labels(places, told) == opened(places.labels, told)
-    assert not private.exists()
+        open_labels(tmp_path / "set")
 
 
-def test_the_hash_does_not_tell_the_labels():
-    labels = [Label("r", "none")]
-    one, other = sealed(labels), sealed(labels)
-    assert one[1] != other[1] and one[0] != other[0]
-    assert len(json.loads(one[0])["salt"]) == 64
-
-
-def test_an_interrupted_check_goes_on(tmp_path, monkeypatch):
-    output = tmp_path / "out"
+def test_an_interrupted_set_goes_on(tmp_path):
     made = []
 
     def stops(case, directory):
         if len(made) == 3:
             raise KeyboardInterrupt
-        made.append(case)
+        made.append(case.seed)
         return fake_generate(case, directory)
 
     with pytest.raises(KeyboardInterrupt):
-        blind_check.run(arguments("--short", "--seed", "7"), output, PROBE, stops)
-    assert not (output / "commitment.json").exists()
+        make(tmp_path / "set", SHORT, 7, 1, stops)
+    assert not (tmp_path / "set" / "labels.sha256").exists()
 
     def goes_on(case, directory):
-        made.append(case)
+        made.append(case.seed)
         return fake_generate(case, directory)
 
-    blind_check.run(arguments("--short", "--seed", "7"), output, PROBE, goes_on)
-    assert sorted(case.seed for case in made) == sorted(
-        case.seed for case in short_plan(7).values()
-    )
-    told = json.loads((output / "commitment.json").read_text())["labels_sha256"]
-    answers = sorted((output / "answers").glob("*/diagnosis.json"))
-    stamps = [path.stat().st_mtime_ns for path in answers]
-    # Once open it is scored again only: nothing is made, nothing diagnosed.
-    blind_check.run(arguments("--short", "--seed", "7"), output, ("/bin/false",), None)
-    assert [path.stat().st_mtime_ns for path in answers] == stamps
-    assert json.loads((output / "commitment.json").read_text())["labels_sha256"] == told
-    with pytest.raises(blind_check.GalenError, match="other options"):
-        blind_check.run(arguments("--per-class", "1"), output, PROBE, fake_generate)
+    told = make(tmp_path / "set", SHORT, None, 1, goes_on)
+    assert not list(tmp_path.rglob("*.bak"))
+    assert sorted(made) == sorted(case.seed for case in short_plan(7).values())
+    assert make(tmp_path / "set", SHORT, None, 1, None) == told
+    with pytest.raises(GalenError, match="other options"):
+        make(tmp_path / "set", {**SHORT, "short": False}, None, 1, fake_generate)
 
 
-def test_a_score_may_be_asked_for():
-    label = Label(
-        "r", "single", ({"effect": "joint_gain", "parameters": {"joint": "tilt"}},), "clear"
-    )
-    right, wrong = (
-        ParsedAnswer("r", "identified", {name: {}}, frozenset(), {name: 1.0})
-        for name in ("joint_gain:tilt", "bias_step")
-    )
-    answers = [Answered(label, right)] * 3 + [Answered(label, wrong)]
-    blind_check.check_score(score(answers, EFFECTS), 0.75)
-    with pytest.raises(blind_check.GalenError, match=r"0\.750, below the 0\.8"):
-        blind_check.check_score(score(answers, EFFECTS), 0.8)
-    blind_check.check_answers(answers[:3])
-    with pytest.raises(
-        blind_check.GalenError, match=r"1 of 4.*r: verdict .*\(bias_step\) of joint_g"
-    ):
-        blind_check.check_answers(answers)
-    with pytest.raises(blind_check.GalenError, match="1 of 4 diagnoses failed"):
-        blind_check.check_score(score([*answers[:3], Answered(label, None)], EFFECTS), 0.0)
+def test_an_interrupt_ends_the_diagnosing_process(tmp_path, monkeypatch):
+    make(tmp_path / "set", SHORT, 7, 1, fake_generate)
+    started = []
+
+    class Interrupted(subprocess.Popen):
+        def wait(self, timeout=None):
+            if not started:
+                started.append(self)
+                raise KeyboardInterrupt
+            return super().wait(timeout)
+
+    monkeypatch.setattr(blind_protocol.subprocess, "Popen", Interrupted)
+    sleeps = (sys.executable, "-c", "import time; time.sleep(60)")
+    with pytest.raises(KeyboardInterrupt):
+        blind_protocol.diagnose(tmp_path / "set", 1, sleeps)
+    assert started[0].returncode not in (None, 0)
 
 
 def test_a_strange_directory_is_left_alone(tmp_path):
     (tmp_path / "mine.txt").write_text("x")
-    with pytest.raises(blind_check.GalenError, match="isn't empty"):
-        blind_check.run(arguments("--short"), tmp_path, PROBE, fake_generate)
-    assert {path.name for path in tmp_path.iterdir()} == {"home", "mine.txt"}
+    with pytest.raises(GalenError, match="isn't empty"):
+        make(tmp_path, SHORT, 1, 1, fake_generate)
+    assert {path.name for path in tmp_path.iterdir()} == {"mine.txt"}
 
 
-def test_wrong_arguments(capsys):
-    for options in (
-        ["--seed", "-1"],
-        ["--at-least", "2"],
-        ["--short", "--per-class", "2"],
-    ):
-        with pytest.raises(SystemExit) as ended:
-            blind_check.main(options)
-        assert ended.value.code == 2
-    capsys.readouterr()
+@pytest.mark.parametrize(
+    "options",
+    [[], ["make"], ["run", "--seed", "-1"], ["score", "set"], ["make", "s", "--per-class", "0"]],
+)
+def test_wrong_arguments(options):
+    with pytest.raises(SystemExit) as ended:
+        blind_check.main(options)
+    assert ended.value.code == 2

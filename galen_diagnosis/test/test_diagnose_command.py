@@ -16,13 +16,21 @@ from galen_diagnosis.observation.recording import DiagnosticRecording
 from galen_diagnosis.report import report
 from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
+from galen_model.files.calibration_file import read_calibration
 from galen_ros.cdr import joint_state_bytes, wrench_bytes
 from matplotlib import pyplot as plt
 
 from galen_diagnosis import diagnose
 
 ROOT = Path(__file__).resolve().parents[2]
-ALL = ["diagnosis.json", "found_effect.yaml", "pictures", "report.html"]
+ALL = [
+    "corrected.urdf",
+    "corrected_retractor.json",
+    "diagnosis.json",
+    "found_effect.yaml",
+    "pictures",
+    "report.html",
+]
 
 
 @cache
@@ -34,10 +42,11 @@ def diagnosed_as(verdict):
 def recordings(monkeypatch, tmp_path):
     """Work in a directory of its own; names of recordings are their verdicts."""
 
-    def read(path, tool=None):
+    def read(path, tool=None, *, inertial_forces=False):
         if path.name.startswith("broken"):
             raise GalenError(f"{path}: no directory with a recording")
-        return DiagnosticRecording(path.name, tool, {}, (), ())
+        retractor = read_calibration(ROOT / "bags" / "tools" / "retractor.json")
+        return DiagnosticRecording(path.name, retractor, {}, (), ())
 
     def diagnosed(recording, progress=None):
         diagnosis = diagnosed_as(recording.name.split("_")[0])
@@ -62,7 +71,7 @@ def test_writes_answer_report_and_the_drivers_file(recordings, capsys):
     assert content["verdict"] == "identified" and content["causes"][0]["probability"] == 0.93
     assert content["where"]["channels"]["fx"] > 0.4
     pictures = sorted((folder / "pictures").iterdir())
-    assert [path.name for path in pictures] == ["gap.png", "time.png"]
+    assert [path.name for path in pictures] == ["answer.png", "gap.png"]
     for file in pictures:
         pixels = plt.imread(file)
         assert min(pixels.shape[:2]) > 500 and np.ptp(pixels[..., :3]) > 0.9
@@ -127,6 +136,30 @@ def test_of_many_recordings_the_good_ones_are_diagnosed(recordings, capsys):
     assert [row["verdict"] for row in rows] == ["none", "unknown"]
 
 
+def test_an_archive_s_answers_are_kept_and_tabled(recordings, capsys):
+    for name in ("a/none/sweep", "b/none/push", "b/identified/motion", "b/broken/sweep"):
+        Path("lab", name).mkdir(parents=True)
+    arguments = ("lab", "--no-report", "--workers", "1", "--results", "kept", "--output", "all")
+    assert run(*arguments) == 1
+    out, err = capsys.readouterr()
+    assert "4 recordings: 3 done, 0 skipped, 1 failed" in out and "b/broken" in err
+    names = ["diagnosis_a_none", "diagnosis_b_identified", "diagnosis_b_none"]
+    assert sorted(path.name for path in Path("all").iterdir()) == names
+    table = pytest.importorskip("pyarrow.parquet").read_table("kept/table.parquet")
+    assert table.column_names == ["recording", "error", *report.COLUMNS]
+    rows = {row["recording"]: row for row in table.to_pylist()}
+    assert [row["verdict"] for row in rows.values()] == ["none", None, "identified", "none"]
+    found = rows["lab/b/identified"]
+    assert found["probability"] == 0.93 and found["causes"] and found["gap_before"] > 1.0
+    shutil.rmtree("lab/b/broken")
+    assert run(*arguments, "--fail-on-gap") == diagnose.EXIT_GAP
+    assert "3 recordings: 0 done, 3 skipped, 0 failed" in capsys.readouterr().out
+    again = (*arguments[:-3], "again", *arguments[-2:])
+    assert run(*again) == 1
+    assert capsys.readouterr().err.count("--overwrite replaces") == 3
+    assert run(*again, "--overwrite") == 0
+
+
 def test_two_recordings_of_one_name_are_rejected_before_any_work(recordings, capsys):
     assert run("a/none", "b/none", "--no-report") == 1
     assert "would be written twice" in capsys.readouterr().err
@@ -143,7 +176,7 @@ def test_two_effects_of_a_kind_are_a_problem_and_no_file(recordings, monkeypatch
     twice = replace(diagnosed_as("identified"), effects=diagnosed_as("identified").effects * 2)
     monkeypatch.setattr(diagnose, "diagnose_recording", lambda recording, progress=None: twice)
     assert run("identified", "--no-report", "--output", "o") == 0
-    assert [path.name for path in Path("o").iterdir()] == ["diagnosis.json"]
+    assert not Path("o/found_effect.yaml").exists()
     content = json.loads(Path("o/diagnosis.json").read_text())
     assert "found_effect.yaml is not written" in content["problems"][-1]
 

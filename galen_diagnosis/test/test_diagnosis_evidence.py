@@ -1,9 +1,19 @@
 """Evidence of columns against its exact value, and a posterior's behaviour at its edges."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+from galen_diagnosis.inference.discrepancy import (
+    KAPPA,
+    KNOWN,
+    Discrepancies,
+    _between_knots,
+    looks_like,
+)
 from galen_diagnosis.inference.posterior import Scored, Settings, posterior
 from galen_model.evidence.linear import SCALES, Background, evidence
+from galen_sim_driver.effects.sensor import SensorDrift
 from scipy.stats import multivariate_normal
 
 
@@ -51,7 +61,7 @@ def test_a_background_with_more_columns_is_that_of_all_of_them():
     whole = Background(
         np.concatenate([nuisance, more], axis=1), np.concatenate([prior, [np.inf] * 2])
     )
-    extended = behind.with_free(more)
+    extended = behind.beside(more)
     for remembered in (False, True):
         if remembered:
             behind.remember(columns)
@@ -62,18 +72,18 @@ def test_a_background_with_more_columns_is_that_of_all_of_them():
     np.testing.assert_allclose(extended.fit(rows), whole.fit(rows), atol=1e-10)
 
 
-def _scored(name, energy, share, occam=4.0):
-    return Scored((name,) if name else (), energy, (share,) if name else (), occam if name else 0.0)
+def _scored(name, energy, occam=4.0):
+    return Scored((name,) if name else (), energy, occam if name else 0.0)
 
 
 def test_noise_alone_is_none_and_a_clear_effect_is_itself():
     settings = Settings()
-    quiet = [_scored("", 3.0, 0.0), _scored("joint_gain:tilt", 0.0, 3.0)]
+    quiet = [_scored("", 3.0), _scored("joint_gain:tilt", 0.0)]
     assert posterior(quiet, settings).none > 0.9
     clear = [
-        _scored("", 900.0, 0.0),
-        _scored("joint_gain:tilt", 5.0, 895.0),
-        _scored("joint_zero_offset:tilt", 400.0, 500.0),
+        _scored("", 900.0),
+        _scored("joint_gain:tilt", 5.0),
+        _scored("joint_zero_offset:tilt", 400.0),
     ]
     chances = posterior(clear, settings)
     assert chances.effects["joint_gain:tilt"] > 0.99
@@ -82,19 +92,65 @@ def test_noise_alone_is_none_and_a_clear_effect_is_itself():
 
 
 def test_what_nothing_explains_is_unknown():
-    of = [_scored("", 5000.0, 0.0), _scored("joint_gain:tilt", 4000.0, 1000.0)]
+    of = [_scored("", 5000.0), _scored("joint_gain:tilt", 4000.0)]
     assert posterior(of, Settings()).unknown > 0.99
 
 
-def test_a_second_effect_must_explain_more_than_the_first_law_leaves():
-    settings = Settings()
-    none = _scored("", 20000.0, 0.0)
-    cable = _scored("cable_drag", 300.0, 19700.0, 15.0)
-    both = Scored(("cable_drag", "joint_gain:tilt"), 0.0, (19000.0, 300.0), 20.0)
-    chances = posterior([none, cable, both], settings)
-    # 300 of 20000 is less than a cable's law is known to.
-    assert chances.hypotheses[1] > chances.hypotheses[2]
-    mass = _scored("tool_mass_error", 3000.0, 17000.0)
-    pair = Scored(("tool_mass_error", "joint_gain:tilt"), 0.0, (17000.0, 3000.0), 8.0)
-    chances = posterior([none, mass, pair], settings)
-    assert chances.hypotheses[2] > 0.99
+def test_what_a_law_may_be_off_is_in_proportion_to_what_it_does():
+    """D D^T has (kappa s)^2 on its diagonal: nothing where the effect does nothing."""
+    count = 240
+    rows = SimpleNamespace(
+        channel=np.arange(count) % 12, bag=np.arange(count) // 80, regime=np.arange(count) % 8,
+        block=np.arange(count) // 20, bag_s=np.arange(count) % 80 / 10.0, pose=np.full(count, -1),
+    )  # fmt: skip
+    signature = np.where(np.arange(count) < 100, np.random.default_rng(3).normal(size=count), 0.0)
+    observation = SimpleNamespace(rows=rows, change=lambda effects: signature)
+    part = SimpleNamespace(effect="cable_drag", unsimulated=lambda values: 0.0)
+    behind = Background(np.zeros((count, 1)), np.ones(1))
+    fit = SimpleNamespace(parts=(part,), values=(None,), effects=(object(),))
+    off = Discrepancies(observation, behind).of(fit)[0].toarray()
+    size = KAPPA[KNOWN["cable_drag"]]
+    np.testing.assert_allclose(np.sum(off**2, axis=1), (size * signature) ** 2, atol=1e-12)
+    assert np.linalg.matrix_rank(off) > 10
+
+
+def test_a_drift_may_be_as_rough_between_knots_as_it_is_over_them():
+    """A random walk's middle between knots is off by a std of half a step's, by Levy."""
+    generator = np.random.default_rng(4)
+    at_s = np.arange(4000.0)
+    walk = np.cumsum(generator.standard_normal((4000, 6)), axis=0)
+    knots = at_s[::40]
+    drift = SensorDrift.through(knots, walk[::40])
+    rows = SimpleNamespace(session_s=at_s)
+    hats = _between_knots(drift, rows, np.tile(np.eye(6)[0], (4000, 1)))
+    allowed = np.sqrt(np.sum(hats.toarray() ** 2, axis=1))
+    middle = np.arange(20, 3900, 40)
+    off = walk[middle, 0] - np.interp(middle, knots, walk[::40, 0])
+    assert np.mean(allowed[middle] ** 2) == pytest.approx(np.mean(off**2), rel=0.5)
+    assert np.all(allowed[::40][:-1] < 1e-9)
+    straight = SensorDrift.through(knots, np.outer(knots, np.ones(6)))
+    assert abs(_between_knots(straight, rows, np.ones((4000, 6)))).sum() < 1e-6
+
+
+def test_only_where_an_effect_acts_may_it_be_taken_for_another():
+    loud = np.where(np.arange(1000) < 500, 3.0, 0.0)
+    same, elsewhere = loud / 10.0, 0.3 * (loud == 0.0)
+    assert looks_like([("backlash", loud)], same) > 0.85
+    assert looks_like([("backlash", loud)], elsewhere) == 0.0
+    assert looks_like([("tool_mass_error", loud)], same) < 0.05
+    assert 0.0 < looks_like([("backlash", loud)], same + elsewhere) < 0.6
+
+
+def test_structure_that_was_found_is_evidence_for_something_unlisted():
+    gain = _scored("joint_gain:tilt", 59.0)
+    chances = [
+        posterior([Scored((), 60.0, 0.0, structure), gain], Settings()).unknown
+        for structure in (0.0, 30.0)
+    ]
+    assert chances[1] > 0.9 > 0.1 > chances[0]
+
+
+def test_a_second_effect_keeps_its_evidence_beside_a_large_one():
+    of = [_scored("", 20000.0), _scored("tool_mass_error", 300.0)]
+    of.append(Scored(("tool_mass_error", "joint_gain:tilt"), 0.0, 8.0))
+    assert posterior(of, Settings()).hypotheses[2] > 0.99

@@ -1,4 +1,4 @@
-"""What a recording is read into where it isn't as it should be."""
+"""What a recording is read into, against which nominal model, and how effects change its rows."""
 
 import shutil
 from dataclasses import replace
@@ -6,9 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from galen_bags.arrays.arm_recording import ArmRecording
+from galen_diagnosis.observation.observation import Observation, Unknowns
 from galen_diagnosis.observation.recording import _REACH_S, _Arm, read_recording
 from galen_diagnosis.simulated_recording import make_recording, sweep_poses
+from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
+from galen_model.files.calibration_file import read_calibration, write_calibration
+from galen_model.load.inertia import InertiaEstimate, point_mass_inertia
+from galen_sim_driver.effects.load import InertialLoad, ToolMassError
+from galen_sim_driver.effects.registry import identities
+from galen_sim_driver.replay import Replay
 
 START_NS = 10**18
 
@@ -105,7 +112,10 @@ def test_a_dead_axis_is_a_problem(tmp_path):
     ("change", "sentence"),
     [
         (lambda one: replace(one, wrench_stamp_ns=0 * one.wrench_stamp_ns), "0 usable wrenches"),
-        (lambda one: replace(one, joints=np.full((100, 5), np.nan)), "name all five joints"),
+        (
+            lambda one: replace(one, joints=np.full((100, 5), np.nan)),
+            "name all joints of the arm galen",
+        ),
         (
             lambda one: replace(one, joint_stamp_ns=one.joint_stamp_ns[0] + 0 * np.arange(100)),
             "1 u",
@@ -129,3 +139,82 @@ def test_what_cant_be_used_is_an_error_that_names_the_bag(tmp_path, change, sent
 def test_slow_topics_are_an_error(tmp_path):
     with pytest.raises(GalenError, match="joint states at 10 Hz"):
         _Arm(tmp_path, arm(tmp_path, period_s=0.1))
+
+
+@pytest.fixture(scope="module")
+def accelerated(tmp_path_factory):
+    """The pointer and its adapter, 0.16 kg, with an inertia of their own; all three bags."""
+    folder = tmp_path_factory.mktemp("accelerated") / "made"
+    inertial = InertialLoad(0.16, OWN_INERTIA_KG_M2)
+    make_recording(folder, [inertial], seed=3, poses=sweep_poses()[:3])
+    return folder
+
+
+OWN_INERTIA_KG_M2 = (1e-3, 1e-3, 1e-3, 0.0, 0.0, 0.0)
+
+
+def with_inertia(folder, target):
+    tool = read_calibration(folder / "tool.json")
+    about = point_mass_inertia(tool.load.load, tool.adapter.load) + OWN_INERTIA_KG_M2
+    write_calibration(target, replace(tool, inertia=InertiaEstimate(about, np.eye(6) * 1e-10)))
+    return target
+
+
+def test_inertial_forces_of_the_calibration_file_leave_noise_of_a_motion(accelerated, tmp_path):
+    file = with_inertia(accelerated, tmp_path / "pointer.json")
+    left = {}
+    for name, told in {
+        "none": {},
+        "points": {"inertial_forces": True},
+        "whole": {"tool": file, "inertial_forces": True},
+    }.items():
+        recording = read_recording(accelerated, **told)
+        observation = Observation(replace(recording, bags={"motion": recording.bags["motion"]}))
+        # Of 10,000 rows the mean square is known to 1.5 %, and their noise to some percent.
+        left[name] = np.mean(observation.residual(()) ** 2)
+        assert ("inertial forces of 0.160 kg" in recording.nominal) == (name != "none")
+    assert left["whole"] == pytest.approx(1.0, abs=0.1)
+    assert left["points"] > left["whole"] + 0.02 and left["none"] > 1.5
+    scene = observation.views["motion"].scene
+    bare = replace(scene, inertia_kg_m2=None)
+    lighter, same, heavier = (
+        Replay(scene, effects).reading() - Replay(bare, effects).reading()
+        for effects in ([ToolMassError(delta_kg)] for delta_kg in (-0.06, 0.0, 0.06))
+    )
+    # What weighs more accelerates with more as well.
+    np.testing.assert_allclose(heavier - same, same - lighter, atol=1e-12)
+    assert np.abs(heavier - same).max() > 1e-3
+
+
+def shaken(effect):
+    """The same effect with numbers that change something."""
+    if effect.name == "sensor_saturation":
+        return replace(effect, limit=1.0)
+    if effect.name == "bias_step":
+        return replace(effect, time_s=5.0, step=(0.1,) * 6, bag="motion")
+    size = np.concatenate([0.4 * part.typicals for part in effect.fitted])
+    return effect.with_vector(np.maximum(size, [part.lower for part in effect.fitted
+                                                for _ in range(part.size)]))  # fmt: skip
+
+
+@pytest.mark.parametrize("inertial_forces", [False, True])
+def test_what_is_kept_of_a_replay_is_what_a_new_one_gives(accelerated, inertial_forces):
+    observation = Observation(read_recording(accelerated, inertial_forces=inertial_forces))
+    effects = [shaken(effect) for effect in identities(GALEN).values()]
+    unknown = Unknowns(np.linspace(-1e-3, 1e-3, 18))
+    sets = [(one,) for one in effects]
+    sets += [(one, effects[k - 7], effects[k - 11]) for k, one in enumerate(effects)]
+    for given in (None, unknown):
+        kept = [observation.change(some, given) for some in sets]
+        views = observation.views
+        for some, found in zip(sets[::3], kept[::3], strict=True):
+            again = observation.change(some, given)
+            # A copy of a scene has nothing kept.
+            observation.views = {
+                name: replace(view, scene=replace(view.scene)) for name, view in views.items()
+            }
+            new = observation.change(some, given)
+            observation.views = views
+            assert np.abs(new).max() > 0.1, some
+            np.testing.assert_allclose(found, new, rtol=0.0, atol=1e-9, err_msg=str(some))
+            np.testing.assert_allclose(again, new, rtol=0.0, atol=1e-9, err_msg=str(some))

@@ -1,27 +1,39 @@
-"""The page, the pictures, the sentence, the driver's file."""
+"""The page, the pictures, the sentence, what was excluded, the driver's file."""
 
 import base64
 import hashlib
 import re
 from dataclasses import replace
+from html import unescape
 from html.parser import HTMLParser
 
 import pytest
 import yaml
 from diagnosis_example import example_answer, example_diagnosis
-from galen_diagnosis.answer.answer import Answer, FoundCause, Interval
-from galen_diagnosis.report.pictures import gap_figure
+from galen_diagnosis.answer.answer import NO_GAP, Answer, Excluded, FoundCause, Interval
+from galen_diagnosis.answer.excluded import detection_strength, excluded_effects
+from galen_diagnosis.inference.diagnosing import explore
+from galen_diagnosis.inference.posterior import Scored, load_settings, posterior
+from galen_diagnosis.observation.recording import read_recording
+from galen_diagnosis.report.pictures import answer_figure, gap_figure
 from galen_diagnosis.report.report import effect_file, report
 from galen_diagnosis.report.words import (
+    REMEDIES,
     SENTENCES,
     cause_words,
+    data_words,
+    missed_words,
+    next_steps,
     parameter_words,
     plain,
+    probability_words,
     sentence,
     title,
 )
+from galen_diagnosis.simulated_recording import make_recording
 from galen_sim_driver.effects.effect import ConfigError
 from galen_sim_driver.effects.joints import JointZeroOffset
+from galen_sim_driver.effects.load import ToolMassError
 from galen_sim_driver.effects.registry import EFFECTS, contract_parameters
 from galen_sim_driver.parameters import EffectParameters, effects_of
 from matplotlib import pyplot as plt
@@ -55,7 +67,7 @@ class Page(HTMLParser):
 def pictures(tmp_path_factory):
     """Files of the pictures' names; the page doesn't look into them."""
     folder = tmp_path_factory.mktemp("pictures")
-    files = {name: folder / f"{name}.png" for name in ("gap", "time")}
+    files = {name: folder / f"{name}.png" for name in ("answer", "gap")}
     for name, file in files.items():
         file.write_bytes(name.encode())
     return files
@@ -78,6 +90,9 @@ def hostile(answer):
         ranking=((HOSTILE, 0.5), *answer.ranking),
         causes=tuple(replace(one, parameters={HOSTILE: HOSTILE}) for one in answer.causes),
         gap={**answer.gap, "before": {"rms": {HOSTILE: 1.0}}},
+        tested=(Excluded(HOSTILE, because=HOSTILE),),
+        corrections=(HOSTILE,),
+        data=((HOSTILE, HOSTILE),),
     )
 
 
@@ -88,13 +103,14 @@ def test_page_stands_alone_and_runs_nothing(diagnosis, pictures):
     allowed = {
         "html", "head", "meta", "title", "style", "body", "header", "main", "h1", "h2", "p",
         "figure", "figcaption", "img", "div", "table", "tr", "th", "td", "meter", "ul", "li",
+        "details", "summary",
     }  # fmt: skip
     assert set(page.tags) <= allowed
     for tag, name, value in page.attributes:
         assert not name.startswith("on")
         if name in LOADING:
             assert tag == "img" and value.startswith("data:image/png;base64,")
-    assert "".join(page.text).count(HOSTILE) >= 7  # shown as it is, not as what it pretends to be
+    assert "".join(page.text).count(HOSTILE) >= 12  # shown as it is, not as what it pretends to be
 
 
 def test_policy_lets_in_its_own_style_and_pictures_only(diagnosis, pictures):
@@ -108,23 +124,75 @@ def test_policy_lets_in_its_own_style_and_pictures_only(diagnosis, pictures):
     assert "prefers-color-scheme: dark" in style and "url(" not in style and "@import" not in style
     shown = re.findall(r'src="data:image/png;base64,([^"]*)"', html)
     assert [base64.b64decode(one) for one in shown] == [
-        pictures[name].read_bytes() for name in ("gap", "time")
+        pictures[name].read_bytes() for name in ("answer", "gap")
     ]
 
 
-def test_page_tells_the_numbers(diagnosis, pictures):
-    text = " ".join("".join(Page(report(diagnosis.answer, pictures)).text).split())
-    for told_there in (
-        diagnosis.answer.sentence,
-        "0.584° (0.567 to 0.602)",
-        "93.0%",
-        "17.3",
-        "98% (97% to 99%)",
-        "without a tracker a tilt's zero looks like a turned sensor",
-        "sweep: 3 stamps went back",
-        "tilt",
+def test_page_leads_with_answer_picture_and_step_and_folds_the_rest(diagnosis, pictures):
+    answer = replace(
+        diagnosis.answer,
+        tested=(Excluded("joint_zero_offset:roll", {"offset_rad": 0.00138}),),
+        corrections=("arm.urdf: the description with the right zero",),
+        data=(("program", "galen_diagnosis 1.2"),),
+    )
+    html = report(answer, pictures)
+    top, *folds = html.split("<details")
+    first = " ".join("".join(Page(top).text).split())
+    places = [
+        first.index(answer.sentence),
+        first.index("What to do next"),
+        first.index("Set the tilt joint's zero in its driver"),
+        first.index("arm.urdf: the description with the right zero"),
+    ]
+    assert places == sorted(places) and top.count("<img") == 1
+    titles = [unescape(re.search(r"<summary>(.*?)</summary>", fold)[1]) for fold in folds]
+    assert titles == [
+        "What was found, number by number",
+        "What was tested and excluded",
+        "Where the residual lies",
+        "How far the gap closes on unseen data",
+        "Alternatives and their probabilities",
+        "What this recording can't show",
+        "Data",
+    ]
+    sections = [" ".join("".join(Page("<details" + fold.partition("</details>")[0]).text).split())
+                for fold in folds]  # fmt: skip
+    for section, told_there in zip(
+        sections,
+        (
+            ("0.584° (0.567 to 0.602)", "93.0%"),
+            ("zero of the roll joint", "0.079° (1.38 mrad)"),
+            ("sweep", "p: how often noise"),
+            ("4.159", "98% (97% to 99%)", "ASME V&V 20"),
+            ("joint_zero_offset:tilt", "something that is not on the list"),
+            ("without a tracker a tilt's zero looks like a turned sensor",),
+            ("galen_diagnosis 1.2", "sweep: 3 stamps went back"),
+        ),
+        strict=True,
     ):
-        assert told_there in text
+        for words in told_there:
+            assert words in section
+
+
+def test_answers_picture_shows_where_what_was_found_is_clearest(diagnosis):
+    figure = answer_figure(diagnosis)
+    try:
+        # The example's residual is a sine in the first channel of each.
+        titles = {axis.get_title("left") for axis in figure.axes}
+        assert titles == {"motion: force, fx", "push: tip translation, dx"}
+        axis = figure.axes[0]
+        named = {line.get_label(): line.get_ydata() for line in axis.lines}
+        added = named["what was found adds to nominal"]
+        left = named["residual with it"]
+        assert added + left == pytest.approx(named["measured less nominal"], nan_ok=True)
+        assert abs(added).max() > 10.0 * abs(left).max()
+    finally:
+        plt.close(figure)
+    figure = answer_figure(example_diagnosis("unknown"))
+    try:
+        assert all(len(axis.lines) == 1 for axis in figure.axes)  # nothing was found
+    finally:
+        plt.close(figure)
 
 
 def test_gap_picture_has_one_scale_and_frames_what_is_beyond_noise(diagnosis):
@@ -211,22 +279,21 @@ def test_numbers_have_the_digits_that_they_are_worth(number, uncertainty, expect
     assert plain(number, uncertainty) == expected
 
 
-def test_sentences_of_the_verdicts(diagnosis):
-    where = diagnosis.answer.where
+def test_sentences_of_the_verdicts():
     words = {
-        verdict: sentence(replace(example_answer(verdict), where=where))
+        verdict: sentence(example_answer(verdict))
         for verdict in ("none", "identified", "ambiguous", "unknown")
     }
     assert words["none"].startswith("No gap")
-    assert words["identified"].startswith(
-        "The tilt joint's zero is off by 0.584° (0.567 to 0.602): this explains 98% (97% to 99%)"
-        " of the gap. The gap lies in fx"
+    assert words["identified"] == (
+        "The tilt joint's zero is off by 0.584° (0.567 to 0.602). Probability 93 %; with it in the"
+        " model 98% (97% to 99%) of the gap closes. Brackets: 95 % intervals."
     )
     assert words["ambiguous"].startswith(
-        "The tilt joint's zero is off by 0.584° (0.567 to 0.602). Whether there is more, this"
-        " recording can't decide: perhaps the sensor is turned in its mount, by 0.57° (0.52 to"
-        " 0.63) about y (45%), or zero of the tilt joint (joint_zero_offset:tilt). What is found"
-        " explains 98%"
+        "The tilt joint's zero is off by 0.584° (0.567 to 0.602). Probability 93 %. Whether there"
+        " is more, this recording can't decide: perhaps the sensor is turned in its mount, by 0.57°"
+        " (0.52 to 0.63) about y, probability 45 %, or zero of the tilt joint"
+        " (joint_zero_offset:tilt). With the likeliest set in the model 98%"
     )
     open_ = example_answer("ambiguous")
     open_ = replace(open_, causes=tuple(replace(c, probability=0.5) for c in open_.causes))
@@ -235,7 +302,7 @@ def test_sentences_of_the_verdicts(diagnosis):
     )
     many = replace(open_.causes[0], equivalent=tuple(EFFECTS)[3:20])
     assert "or one of 17 other effects" in sentence(replace(open_, causes=(many,)))
-    assert "nothing on the list explains" in words["unknown"]
+    assert "no effect on the list explains" in words["unknown"]
     answer = example_answer()
     mass = FoundCause("tool_mass_error", 0.9, {"delta_kg": Interval(0.005, 0.0048, 0.0052)},
                  ("axis_gain",), None)  # fmt: skip
@@ -243,7 +310,91 @@ def test_sentences_of_the_verdicts(diagnosis):
     assert (
         "0.602); and the tool's true mass differs from its file's by 5.00 g (4.80 to 5.20)" in two
     )
-    assert "together they explain 98%" in two and "(axis_gain)" in two
+    assert "with them in the model 98%" in two and "(axis_gain)" in two
+
+
+@pytest.mark.parametrize(
+    ("probability", "expected"),
+    [
+        (1.0, "more than 99.9 %"), (0.996, "99.6 %"), (0.934, "93 %"), (0.004, "0.4 %"),
+        (0.0, "less than 0.1 %"),
+    ],
+)  # fmt: skip
+def test_a_probability_is_never_certain_in_words(probability, expected):
+    assert probability_words(probability) == expected
+
+
+def test_every_verdict_has_a_next_step():
+    assert set(REMEDIES) == set(SENTENCES)
+    assert next_steps(example_answer("none"))[0].startswith("Nothing")
+    assert next_steps(example_answer("ambiguous"))[-1] == "Push."
+    assert "not on" not in next_steps(example_answer("unknown"))[0]
+    answer = example_answer()
+    twin = replace(answer.causes[0], equivalent=("sensor_mount_rotation",))
+    (step,) = next_steps(replace(answer, causes=(twin,)))
+    assert step.startswith("Rule out turned sensor (sensor_mount_rotation); then set the tilt")
+
+
+@pytest.mark.parametrize(
+    ("one", "expected"),
+    [
+        (Excluded("x", because="no tracker"), "no tracker"),
+        (Excluded("base_inclination", {"about_x_rad": 0.001, "about_y_rad": 0.002}),
+         "0.0573° (1 mrad) about x, 0.115° (2 mrad) about y"),
+        (Excluded("crosstalk", {"from": "ty", "to": "fz", "coefficient": 0.1}),
+         "0.100 N/N.m of ty in fz"),
+        (Excluded("axis_gain", {"gain": [0.004, None, 0.005, 0.004, 0.004, 0.004]}),
+         "0.400 % in fx, ? % in fy, 0.500 % in fz, 0.400 % in tx, 0.400 % in ty, 0.400 % in tz"),
+        (Excluded("backlash", {"joint": "roll", "gap_rad": 3e-5}, because="not seen: joint tilt"),
+         "0.00172° (0.03 mrad) at roll; not seen: joint tilt"),
+        (Excluded("joint_compliance", {"stiffness": {"tilt": 1420.0}}),
+         "down to tilt 1420 N.m/rad"),
+        (Excluded("sensor_saturation", None, {"limit": [9.0, 8.0, 7.0, 0.5, 0.4, 0.3]}),
+         "beyond the largest readings: 9.0 N in fx, 8.0 N in fy, 7.0 N in fz, 500 mN.m in tx,"
+         " 400 mN.m in ty, 300 mN.m in tz"),
+    ],
+)  # fmt: skip
+def test_sizes_that_would_have_been_missed_in_words(one, expected):
+    assert missed_words(one) == expected
+
+
+# --- what was tested and excluded
+
+
+def test_detection_strength_is_where_the_posterior_turns():
+    settings, nothing = load_settings(), Scored((), 0.0, 0.0)
+    strength = detection_strength(settings, "tool_mass_error", 3.0, nothing)
+    for factor, found in ((0.98, False), (1.02, True)):
+        energy = (factor * strength) ** 2
+        of = [Scored((), energy, 0.0), Scored(("tool_mass_error",), 0.0, 3.0)]
+        assert (posterior(of, settings).none < NO_GAP) == found
+    assert detection_strength(settings, "tool_mass_error", 8.0, nothing) > strength
+
+
+def test_twice_the_size_that_would_be_missed_is_found_and_half_of_it_is_not(tmp_path):
+    """The mass alone, of the sweep: no tracker, no motion."""
+
+    def looked_at(name, effects=()):
+        make_recording(tmp_path / name, effects, seed=4, bags=("sweep",))
+        explored = explore(read_recording(tmp_path / name))
+        return explored, posterior(explored.scored, settings)
+
+    settings = load_settings()
+    healthy, chances = looked_at("healthy")
+    assert chances.none > NO_GAP
+    told = {one.label: one for one in excluded_effects(healthy, None, (), "none", settings)}
+    assert told["tracker_scale"].because == "no tracker"
+    assert told["tracker_scale"].missed_below is None
+    assert len(told["axis_gain"].missed_below["gain"]) == 6
+    assert {type(one.to_json()) for one in told.values()} == {dict}
+    assert dict(data_words(healthy.observation.recording))["recording"] == "healthy"
+    size = told["tool_mass_error"].missed_below["delta_kg"]
+    for factor, found in ((0.5, False), (2.0, True)):
+        _, chances = looked_at(f"times {factor}", (ToolMassError(factor * size),))
+        assert (chances.none < NO_GAP) == found
+        assert (chances.effects["tool_mass_error"] > 1.0 - NO_GAP) == found
+    unknown = excluded_effects(healthy, None, (), "unknown", settings)
+    assert all(one.missed_below is None and one.because for one in unknown)
 
 
 def test_driver_file_gives_the_driver_what_was_found():

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from galen_diagnosis.effects.forms import healthy_background
 from galen_diagnosis.inference.refine import nothing
-from galen_diagnosis.inference.search import healthy_background
 from galen_diagnosis.inference.structure import (
     coefficients,
     oscillation,

@@ -20,6 +20,9 @@ NONE = "none"
 UNKNOWN = "unknown"
 SURE = 0.9
 """Probability from which a cause counts as found."""
+NO_GAP = 0.2
+"""A gap is reported only where it is four times as likely as none: two dozen effects that are not
+there have some probability each."""
 
 
 class Interval(NamedTuple):
@@ -41,7 +44,8 @@ class FoundCause:
     """One effect that was found; `joint` where it is at one.
 
     parameters: name to interval, to a list or a mapping of them, or to a word (`axis`, `bag`).
-    equivalent: identities of effects that this recording can't distinguish from it.
+    equivalent: identities of effects that this recording can't distinguish from it. model: which of
+    the effect's models fits best, in words, where it has several.
     """
 
     effect: str
@@ -50,6 +54,7 @@ class FoundCause:
     equivalent: tuple[str, ...]
     gap_closed: Interval | None
     joint: str | None = None
+    model: str = ""
 
     @property
     def label(self) -> str:
@@ -58,11 +63,34 @@ class FoundCause:
 
 
 @dataclass(frozen=True)
+class Excluded:
+    """An effect that was sought and not found; label: with its joint, where it has one.
+
+    missed_below: the contract's parameters at the largest size that would have been missed; None
+    where the effect isn't excluded at any size, for the reason `because`. missed_above: of a limit
+    that no reading reached.
+    """
+
+    label: str
+    missed_below: dict[str, Any] | None = None
+    missed_above: dict[str, Any] | None = None
+    because: str = ""
+
+    def to_json(self) -> dict[str, Any]:
+        """Return an entry of `tested`."""
+        above = {} if self.missed_above is None else {"missed_above": self.missed_above}
+        because = {"because": self.because} if self.because else {}
+        return {**_at(self.label), "missed_below": self.missed_below, **above, **because}
+
+
+@dataclass(frozen=True)
 class Answer:
     """The whole of `diagnosis.json`; `where`, `gap`, `next_experiment` as the contract has them.
 
-    remaining: structure in what the best fit leaves, each with `what` it is a function of, `energy`
-    over the noise's and `log_bayes` against noise; the clearest first. notes: how rows were made.
+    tested: effects that were sought and not found. remaining: structure in what the best fit
+    leaves, each with `what` it is a function of, `energy` over the noise's and `log_bayes` against
+    noise; the clearest first. corrections: sentences on files that correct what was found. data:
+    what was diagnosed and against what, by a word for each. notes: how rows were made.
     """
 
     recording: str
@@ -74,12 +102,15 @@ class Answer:
     next_experiment: dict[str, Any] | None = None
     sentence: str = ""
     cannot_tell: tuple[str, ...] = ()
+    tested: tuple[Excluded, ...] = ()
     remaining: tuple[dict[str, Any], ...] = ()
+    corrections: tuple[str, ...] = ()
     problems: tuple[str, ...] = ()
+    data: tuple[tuple[str, str], ...] = ()
     notes: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
-        """Return the file's content; `sentence` and the last four are beyond the contract."""
+        """Return the file's content; `sentence` and the last seven are beyond the contract."""
         return {
             "schema_version": 1,
             "recording": self.recording,
@@ -91,8 +122,11 @@ class Answer:
             "gap": self.gap,
             "next_experiment": self.next_experiment,
             "cannot_tell": list(self.cannot_tell),
+            "tested": [one.to_json() for one in self.tested],
             "remaining": list(self.remaining),
+            "corrections": list(self.corrections),
             "problems": list(self.problems),
+            "data": dict(self.data),
             "notes": list(self.notes),
         }
 
@@ -111,6 +145,7 @@ def _cause_to_json(cause: FoundCause) -> dict[str, Any]:
     return {
         **_at(cause.label),
         "probability": cause.probability,
+        "model": cause.model or None,
         "parameters": {name: _value(value) for name, value in cause.parameters.items()},
         "equivalent": list(dict.fromkeys(name.partition(":")[0] for name in cause.equivalent)),
         "equivalent_joints": joints,

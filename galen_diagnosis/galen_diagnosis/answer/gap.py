@@ -18,13 +18,8 @@ intervals take the larger of Laplace's covariance and the sandwich over blocks (
 
     H^-1 (sum_b g_b g_b^T) H^-1,    g_b = J_b^T r_b,
 
-with J the columns of background and effects together. Nor is an effect's model quite the arm's: it
-may be wrong along its own parameters, too, which leaves no trace. With the posterior's discrepancy
-(`posterior.py`), nu directions whose variance is 1 + v beside noise's 1, Laplace's covariance
-counts (1 + v) times. Beforehand v = kappa^2 (energy explained) / nu, which weighs as _FIRM
-directions do; the energy L that the fit leaves adds what it shows of the others:
-
-    v = (_FIRM kappa^2 E / nu + L) / (_FIRM + nu).
+with J the effects' columns less what the background takes of them. Nor is an effect's model quite
+the arm's: what it may be off (`discrepancy.py`) is part of the background here.
 """
 
 from __future__ import annotations
@@ -35,22 +30,25 @@ from typing import Any
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_model.evidence.linear import Background, factor
+from galen_model.evidence.linear import Background
 from galen_sim_driver.effects.effect import Effect
 from galen_sim_driver.effects.load import CableDrag
 from galen_sim_driver.effects.registry import contract_parameters
-from scipy.linalg import cho_solve
+from scipy.sparse import csc_array
 
 from galen_diagnosis.answer.answer import Interval
 from galen_diagnosis.effects.candidates import Candidate
-from galen_diagnosis.inference.posterior import Settings
+from galen_diagnosis.effects.general_shapes import (
+    ForceField,
+    FrictionInJoints,
+    SoftSaturation,
+)
 from galen_diagnosis.inference.refine import Hypothesis, refine
 from galen_diagnosis.observation.observation import UNKNOWNS, Observation
 from galen_diagnosis.observation.rows import FOLDS, ResidualRows
 
 _DRAWS = 400
 _GAP_SEED, _PARAMETER_SEED = 20191, 1956
-_FIRM = 9.0
 
 
 @dataclass(frozen=True)
@@ -162,45 +160,30 @@ def _only(behind: Background, keep: np.ndarray) -> Background:
 
 
 def covariance(
-    observation: Observation,
-    behind: Background,
-    hypothesis: Hypothesis,
-    settings: Settings,
-    left: float,
+    observation: Observation, behind: Background, off: csc_array, hypothesis: Hypothesis
 ) -> Array:
-    """Return the covariance (p, p) of a hypothesis' numbers: Laplace's widened, or the sandwich.
+    """Return the covariance (p, p) of a hypothesis' numbers: Laplace's, or the sandwich.
 
-    left: energy that the fit leaves over the noise.
+    behind: unknowns and tolerances; off (N, M): what the effects' models may be off.
     """
     if not hypothesis.parts:
         return hypothesis.covariance
-    laplace = hypothesis.covariance
-    shares = hypothesis.energies_explained()
-    wrong = np.empty(len(laplace))
-    for part, where, share in zip(hypothesis.parts, hypothesis.slices(), shares, strict=True):
-        before = _FIRM * settings.kappa_of(part.effect) ** 2 * share / settings.dof
-        wrong[where] = np.sqrt(1.0 + (before + left) / (_FIRM + settings.dof))
-    columns = np.concatenate([behind.columns, hypothesis.columns], axis=1)
-    width = behind.columns.shape[1]
-    precision = np.zeros(columns.shape[1])
-    precision[:width] = behind.precision
-    hessian = columns.T @ columns + np.diag(precision)
-    own = np.linalg.pinv(laplace, hermitian=True)
-    reduced = hessian[width:, width:] - hessian[width:, :width] @ behind.solve(
-        hessian[:width, width:]
-    )
-    hessian[width:, width:] += np.maximum(own - reduced, 0.0) * np.eye(len(own))
+    columns = hypothesis.columns
+    prior = np.linalg.pinv(hypothesis.covariance, hermitian=True)
+    prior = prior - behind.reduced(columns, hypothesis.raw_rows)[0]
+    beside = behind.beside(off, 1.0)
+    own = beside.left(columns)
+    precision = own.T @ columns + np.diag(np.maximum(np.diag(prior), 0.0))
+    laplace = np.linalg.pinv(0.5 * (precision + precision.T), hermitian=True)
+    left = beside.left(hypothesis.raw_rows)
     blocks = observation.rows.block
     order = np.argsort(blocks, kind="stable")
     edges = np.flatnonzero(np.diff(blocks[order])) + 1
-    weighted = columns[order] * hypothesis.rows[order, None]
+    weighted = own[order] * left[order, None]
     scores = np.add.reduceat(weighted, np.concatenate([[0], edges]), axis=0)
-    silent = np.diag(hessian) <= 0.0
-    hessian[silent, silent] = 1.0
-    bread = cho_solve(factor(hessian), scores.T)[width:]
-    sandwich = bread @ bread.T
-    widen = np.sqrt(np.diag(sandwich) / np.maximum(np.diag(laplace), 1e-300))
-    widen = np.maximum(widen, wrong)
+    bread = laplace @ scores.T
+    sandwich = np.einsum("ij,ij->i", bread, bread)
+    widen = np.sqrt(np.maximum(sandwich / np.maximum(np.diag(laplace), 1e-300), 1.0))
     return np.asarray(laplace * np.outer(widen, widen))
 
 
@@ -217,11 +200,10 @@ def parameters(
         drawn = [
             part.at(values + root @ generator.standard_normal(len(values))) for _ in range(_DRAWS)
         ]
-        told = _told(observation, effect)
-        draws = [_told(observation, one) for one in drawn]
+        draws = [told(observation, one) for one in drawn]
         named = {
             name: _interval(part, name, value, [draw[name] for draw in draws])
-            for name, value in told.items()
+            for name, value in told(observation, effect).items()
         }
         out.append(named)
     return out
@@ -233,11 +215,22 @@ def _root(spread: Array) -> Array:
     return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
 
 
-def _told(observation: Observation, effect: Effect) -> Mapping[str, Any]:
-    told = contract_parameters(effect)
+def told(observation: Observation, effect: Effect) -> dict[str, Any]:
+    """Return the contract's parameters; a cable's tension is the mean over the recording."""
+    if isinstance(effect, ForceField):
+        force = effect.force(*observation.sensor_poses(100))
+        return {"tension_N": float(np.mean(np.linalg.norm(force, axis=1)))}
+    if isinstance(effect, SoftSaturation):
+        return {"axis": effect.axis, "limit": effect.limit}
+    if isinstance(effect, FrictionInJoints):
+        scene = observation.views["push"].scene
+        joints = scene.joints[np.searchsorted(scene.joint_s, scene.wrench_s[scene.touched][0])]
+        tip_m, arm = np.asarray(scene.tool.tip_m), scene.arm
+        return {"residual_fraction": effect.residual_fraction(joints, tip_m, arm)}
+    named = contract_parameters(effect)
     if isinstance(effect, CableDrag):
-        told["tension_N"] = float(np.mean(effect.tension(*observation.sensor_poses(500))))
-    return told
+        named["tension_N"] = float(np.mean(effect.tension(*observation.sensor_poses(100))))
+    return named
 
 
 def _interval(part: Candidate, name: str, value: Any, draws: list[Any]) -> Any:

@@ -33,7 +33,7 @@ from galen_diagnosis.effects.candidates import (
 from galen_diagnosis.observation.observation import UNKNOWNS, Observation
 from galen_diagnosis.observation.rows import BAGS
 
-RMSE_DROP, NAIVE_BIC = "largest RMSE drop", "naive BIC"
+RMSE_DROP, NAIVE_BIC = "largest_rmse_drop", "naive_bic"
 _LEAST_DROP = 0.01
 _STEP_S = 10.0
 _CLIPS = (0.5, 0.7, 0.9)
@@ -85,17 +85,21 @@ def simple_answers(n: int, before: float, left: Mapping[str, tuple[float, int]])
 def _answer(weights: Mapping[str, float]) -> dict[str, Any]:
     """Answer `identified` or `none`; probabilities are the weights' shares."""
     total = float(sum(weights.values()))
-    shares = {name: float(weight) / total for name, weight in weights.items()}
-    first = max(shares, key=lambda name: shares[name])
-    alone = first == NONE
+    ranking = [{**_at(name), "probability": float(w) / total} for name, w in weights.items()]
+    first = max(weights, key=lambda name: weights[name])
+    cause = {**_at(first), "probability": float(weights[first]) / total, "parameters": {}}
+    found = first != NONE
     return {
-        "verdict": first if alone else "identified",
-        "causes": []
-        if alone
-        else [{"effect": first, "probability": shares[first], "parameters": {}}],
-        "ranking": [{"effect": name, "probability": p} for name, p in shares.items()],
-        "gap": {},
+        "schema_version": 1,
+        "verdict": "identified" if found else NONE,
+        "causes": [cause] if found else [],
+        "ranking": ranking,
     }
+
+
+def _at(identity: str) -> dict[str, str]:
+    effect, _, joint = identity.partition(":")
+    return {"effect": effect, "joint": joint} if joint else {"effect": effect}
 
 
 def templates(observation: Observation, unknowns: Array) -> Iterator[tuple[str, Array]]:

@@ -1,18 +1,14 @@
-"""The check's course: make, seal, publish the hash, diagnose in another process, open.
+"""A set's course: plan, make, seal; and have this program answer in a process kept from labels.
 
-An output directory holds
+    SET/recordings/   what a diagnosis gets: bags, tool.json, arm.urdf
+    SET/README.md     the rules in short
+    SET/labels.sha256 the hash of labels.json, as `sha256sum -c` takes it
+    SET.labels/       beside it, for this user alone: plan.json, a label each, labels.json
+    SET.answers/      what `run` has this program and the baselines answer, a folder each
 
-    plan.json         what was asked for, and the seed once all is open
-    commitment.json   the SHA-256 of the labels and the recordings' names, published first
-    recordings/       what the diagnosis gets
-    answers/          what it left: diagnosis.json and beside.json for each
-    labels.json       the labels, when they are open
-
-The labels lie in `labels.private_directory` till all answers are there. The diagnosing process is a
-child with an environment and a working directory of its own; it gets two paths and can't read that
-directory (`confine`). What this doesn't keep out: a program that finds the seed on this process's
-command line and simulates the arm itself, one that runs as root where there is no Landlock, and the
-workers of a Dask scheduler, which aren't started here.
+Names, sizes, stamps and counts of a recording depend on its own seed alone, and bags bear one time
+of change. What this doesn't keep out: a program that finds the seed and simulates the arm itself,
+and where there is no Landlock, one that reads SET.labels.
 """
 
 from __future__ import annotations
@@ -24,224 +20,253 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from galen_bags.many import run_many
+from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
 from galen_model.files.atomic_file import write_whole
-from galen_model.files.json_fields import FieldError, get, mapping, read_json
-from galen_ros.command import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_OK, writing
+from galen_model.files.json_fields import FieldError, read_json
+from galen_ros.command import EXIT_INTERRUPTED, EXIT_OK, writing
+from galen_sim_driver.effects.registry import contract_parameters, identities
 
-from galen_diagnosis.blind import confine
-from galen_diagnosis.blind.case import generate
-from galen_diagnosis.blind.diagnosing import ANSWER, BESIDE
+from galen_diagnosis.answer.answer import NONE
+from galen_diagnosis.blind.case import STRENGTHS, Case, Truth, generate
+from galen_diagnosis.blind.causes import listed
 from galen_diagnosis.blind.labels import (
+    LABELS,
+    SEAL,
     Label,
-    ParsedAnswer,
-    directory_sha256,
-    forget,
-    opened,
-    parse_answer,
-    private_directory,
+    LabelKind,
+    beside,
+    label_from_json,
+    published_sha256,
     sealed,
-    write_sealed,
 )
-from galen_diagnosis.blind.making import Generate, Plan, make_all
-from galen_diagnosis.blind.score import Answered
+from galen_diagnosis.blind.mujoco_arm import require_mujoco
+from galen_diagnosis.blind.session import six_axis
+from galen_diagnosis.blind.unlisted import NEED_SPRINGS, TEST_UNKNOWN
 
-_LARGEST_JSON = 50_000_000
-_KEPT_VARIABLES = (
-    "PATH", "PYTHONPATH", "LD_LIBRARY_PATH", "HOME", "LANG", "LC_ALL", "TERM", "VIRTUAL_ENV",
-    "AMENT_PREFIX_PATH", "COLUMNS",
-)  # fmt: skip
 DIAGNOSING = (sys.executable, "-m", "galen_diagnosis.blind.diagnosing")
+_PAIRS_PER_CLASS = 15
+_KINDS: dict[str, LabelKind] = {
+    NONE: "none", "single": "single", "pair": "pair", "ambiguous": "ambiguous",
+    "unknown_test": "unknown",
+}  # fmt: skip
+_SHORT = (
+    (NONE, (), "clear", "galen"),
+    ("single", ("joint_zero_offset:tilt",), "gross", "galen"),
+    ("single", ("bias_step",), "clear", "galen"),
+    ("single", ("tool_mass_error",), "clear", "galen"),
+    ("pair", ("axis_gain", "tracker_scale"), "clear", "galen"),
+    ("unknown_test", ("rattling_mass",), "gross", "galen"),
+)
+"""One of each sort, for a check of the program and not of its rates."""
+
+Sort = tuple[str, tuple[str, ...], str, str]
+"""Kind, effects, strength and arm of a case."""
+
+Generate = Callable[[Case, Path], Truth]
+
+_RULES = """# A blind set of recordings
+
+Each folder in `recordings/` holds the bags `sweep`, `motion` and `push` (MCAP; some have no `push`)
+of an arm with a force/torque sensor, `tool.json` (the tool as it was calibrated) and `arm.urdf`.
+Each hides one cause of the gap between arm and model, two, one that is on no list, or none.
+
+1. Answer from these files alone, each recording by itself. No answer may depend on another
+   recording, on file times or names, or on a simulation with this set's seed.
+2. An answer is `ANSWERS/<recording>/diagnosis.json` or `ANSWERS/<recording>.json`; one that is
+   missing or malformed counts as wrong.
+3. Freeze the program and publish the SHA-256 of your answers before `labels.json` is published.
+   `sha256sum -c labels.sha256` then shows that no label has changed.
+
+The page docs/benchmark.md of the suite Galen has the format of an answer and the scores. Effects
+and their parameters, SI units; `joint` stands beside `effect`, as it does there:
+
+"""
 
 
-class Places:
-    """Where an output has what; the module's docstring says what each holds."""
+def rules() -> str:
+    """Return the README of a set: rules, and the list's effects with their parameters."""
+    lines = []
+    for name, effect in {one.name: one for one in identities(GALEN).values()}.items():
+        told = contract_parameters(effect) or {"stiffness": "by joint"}
+        parts = [
+            f"{key}[{len(value)}]" if isinstance(value, list) else key
+            for key, value in told.items()
+        ]
+        lines.append(f"- `{name}`: {', '.join(parts)}\n")
+    return _RULES + "".join(lines)
 
-    def __init__(self, output: Path) -> None:
-        self.output = output
-        self.plan = output / "plan.json"
-        self.commitment = output / "commitment.json"
-        self.recordings = output / "recordings"
-        self.answers = output / "answers"
-        self.labels = output / "labels.json"
+
+def full_plan(seed: int, per_class: int, healthy: int) -> dict[str, Case]:
+    """Plan a set: cases by the names of their recordings.
+
+    `per_class` recordings of each listed effect at each strength and of each unlisted one that is
+    clear and gross, 15 pairs and two twins for each of these, and `healthy` ones. Every fourth is
+    of the six-joint arm. Joints, pairs and twins are drawn.
+    """
+    random = np.random.default_rng([seed, 1])
+    rigid = [name for name in TEST_UNKNOWN if name not in NEED_SPRINGS]
+    shown = {"galen": [*listed(GALEN), *TEST_UNKNOWN], "six_axis": [*listed(six_axis()), *rigid]}
+    classes = list(dict.fromkeys(name.partition(":")[0] for name in listed(GALEN)))
+    wanted = [("single", effect, s) for effect in classes for s in STRENGTHS]
+    wanted += [("unknown_test", name, s) for name in TEST_UNKNOWN for s in ("clear", "gross")]
+    wanted += [("pair", "", "clear")] * _PAIRS_PER_CLASS + [("ambiguous", "", "clear")] * 2
+    wanted = [*wanted * per_class, *[(NONE, "", "clear")] * healthy]
+    sorts: list[Sort] = []
+    for number, (kind, effect, strength) in enumerate(wanted):
+        at = {
+            arm: [x for x in names if x.partition(":")[0] == effect] for arm, names in shown.items()
+        }
+        arm = "six_axis" if number % 4 == 3 and (at["six_axis"] or not effect) else "galen"
+        names = (at[arm][random.integers(len(at[arm]))],) if effect else ()
+        sorts.append((kind, names, strength, arm))
+    return _named(sorts, seed)
 
 
-def sealed_set(
-    places: Places,
-    wanted: dict[str, Any],
+def short_plan(seed: int) -> dict[str, Case]:
+    """Plan one recording of each sort."""
+    return _named(_SHORT, seed)
+
+
+def _named(sorts: Sequence[Sort], seed: int) -> dict[str, Case]:
+    """Give cases seeds and names, in whose order they come: at random, it shows no sort."""
+    random = np.random.default_rng(np.random.SeedSequence(seed))
+    names = random.choice(16**6, size=len(sorts), replace=False)
+    seeds = random.integers(0, 2**31 - 1, size=len(sorts))
+    planned = {
+        f"recording_{int(name):06x}": Case(int(own), kind, effects, strength, arm=arm)
+        for name, own, (kind, effects, strength, arm) in zip(names, seeds, sorts, strict=True)
+    }
+    return dict(sorted(planned.items()))
+
+
+def make(
+    folder: Path,
+    wanted: Mapping[str, int | bool],
     seed: int | None,
-    plan: Callable[[int], Plan],
     workers: int | None,
     generate: Generate = generate,
 ) -> str:
-    """Make the recordings and seal their labels; returns their SHA-256.
+    """Make a set, or what it lacks; returns the SHA-256 of its labels.
 
-    An output that was begun with the same options goes on where it stopped. wanted: what
-    decides the plan but for the seed. seed: None for a random one. Raises GalenError.
+    wanted: `per_class`, `healthy` and `short`, as the command's options. seed: None for a random
+    one. Raises GalenError.
     """
-    started = _begun(places, wanted)
-    if started and places.labels.exists():
-        return str(get(_read(places.commitment), "labels_sha256"))
-    private = private_directory(places.output)
-    if started and places.commitment.exists() and (private / "labels.json").exists():
-        return str(get(_read(places.commitment), "labels_sha256"))
-    kept_seed = private / "seed.json"
-    if not (started and kept_seed.exists()):
-        _write(places.plan, {"wanted": wanted})
-        write_sealed(kept_seed, json.dumps(secrets.randbits(64) if seed is None else seed))
-    used = int(read_json(kept_seed, 100, "a seed"))
-    if seed is not None and seed != used:
-        raise GalenError(f"{places.output}: was begun with another seed; give a new --output")
-    labels = make_all(plan(used), places.recordings, private, workers, generate)
-    text, published = sealed(labels)
-    write_sealed(private / "labels.json", text)
-    _write(
-        places.commitment, {"labels_sha256": published, "recordings": [x.recording for x in labels]}
+    private = beside(folder, "labels")
+    begun = _begun(folder, private / "plan.json")
+    used = secrets.randbits(64) if seed is None else seed
+    if begun is not None:
+        used = begun["seed"] if seed is None else seed
+        if begun != {**wanted, "seed": used}:
+            raise GalenError(f"{folder}: was begun with other options; give another folder")
+        if (folder / SEAL).exists():
+            return published_sha256(folder)
+    plan = {**wanted, "seed": used}
+    cases = (
+        short_plan(used)
+        if wanted["short"]
+        else full_plan(used, int(wanted["per_class"]), int(wanted["healthy"]))
     )
+    require_mujoco()
+    recordings = folder / "recordings"
+    with writing(folder):
+        recordings.mkdir(parents=True, exist_ok=True)
+        private.mkdir(mode=0o700, exist_ok=True)
+        if begun is None:
+            write_whole(private / "plan.json", json.dumps(plan))
+        (folder / "README.md").write_text(rules(), encoding="utf-8")
+    one = partial(make_one, cases=cases, private=private, generate=generate)
+    for outcome in run_many(one, [recordings / name for name in cases], workers=workers):
+        if outcome.error is not None:
+            raise GalenError(f"a recording couldn't be made: {outcome.error}")
+    for path in (*sorted(recordings.rglob("*"), reverse=True), recordings):
+        os.utime(path, (_SAME_TIME_S, _SAME_TIME_S))
+    text, published = sealed(plan, [_label(private / f"{name}.json") for name in cases])
+    with writing(folder):
+        write_whole(private / LABELS, text)
+        write_whole(folder / SEAL, f"{published}  {LABELS}\n")
     return published
 
 
-def _begun(places: Places, wanted: dict[str, Any]) -> bool:
-    """Whether the output was begun with the same options; raises GalenError if with another."""
-    if not places.plan.exists():
-        if places.output.exists() and any(places.output.iterdir()):
-            raise GalenError(f"{places.output}: isn't empty, and no blind check was begun in it")
-        return False
-    if get(_read(places.plan), "wanted") != wanted:
-        raise GalenError(f"{places.output}: was begun with other options; give a new --output")
-    return True
+_SAME_TIME_S = 946_684_800
+"""2000-01-01: the time that every recorded file bears."""
 
 
-def diagnose_blind(
-    places: Places,
-    workers: int | None,
-    scheduler: str | None = None,
-    command: Sequence[str] = DIAGNOSING,
-) -> bool:
-    """Have the diagnosing process answer all; returns whether the system keeps it from the labels.
-
-    Raises GalenError, or KeyboardInterrupt where it was interrupted.
-    """
-    private = private_directory(places.output)
-    temporary = places.answers.with_name("work")
-    for folder in (places.answers, temporary):
-        folder.mkdir(parents=True, exist_ok=True)
-    options = [] if workers is None else ["--workers", str(workers)]
-    if scheduler is not None:
-        options = ["--scheduler", scheduler]
-    recordings, answers = places.recordings.resolve(), places.answers.resolve()
-    allowed = [recordings, answers, temporary.resolve()]
-    kept = {name: os.environ[name] for name in _KEPT_VARIABLES if name in os.environ}
-    process = subprocess.Popen(
-        [
-            sys.executable, "-m", "galen_diagnosis.blind.confine",
-            *(part for path in allowed for part in ("--allow", str(path))),
-            "--", *command, str(recordings), str(answers), *options,
-        ],
-        stdin=subprocess.PIPE,
-        cwd=recordings,
-        env={**kept, "TMPDIR": str(temporary.resolve()), "OMP_NUM_THREADS": "1"},
-    )  # fmt: skip
+def _begun(folder: Path, plan: Path) -> dict[str, Any] | None:
+    """Return the plan of a set that was begun; raises GalenError where something else is there."""
+    if not plan.exists():
+        if folder.exists() and any(folder.iterdir()):
+            raise GalenError(f"{folder}: isn't empty, and no set was begun in it")
+        return None
     try:
-        assert process.stdin is not None
-        process.stdin.write(f"{private}\n".encode())
-        process.stdin.close()
-        code = process.wait()
-    except BaseException:
-        _end(process)
-        raise
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+        return dict(read_json(plan, 10_000, "a plan"))
+    except (OSError, FieldError, TypeError, ValueError) as error:
+        raise GalenError(f"{plan}: can't be read: {error}") from error
+
+
+def make_one(
+    recording: Path, cases: Mapping[str, Case], private: Path, generate: Generate = generate
+) -> None:
+    """Make one recording, if it isn't there whole, its label last; called in any process."""
+    case, label = cases[recording.name], private / f"{recording.name}.json"
+    if label.exists() and recording.exists():
+        return
+    work = private / f"{recording.name}.work"
+    for old in (work, recording):
+        shutil.rmtree(old, ignore_errors=True)
+    truth = generate(case, work)
+    if not (work / "arm.urdf").exists():
+        (work / "arm.urdf").write_text(GALEN.urdf, encoding="utf-8")
+    made = Label(
+        recording=recording.name,
+        kind=_KINDS[case.kind],
+        effects=truth.effects,
+        strength=truth.strength,
+        d=min(truth.d, default=None),
+        acceptable=truth.acceptable,
+        arm=case.arm,
+    )
+    shutil.move(work, recording)
+    write_whole(label, json.dumps(asdict(made)))
+
+
+def _label(path: Path) -> Label:
+    try:
+        return label_from_json(read_json(path, 1_000_000, "a label"))
+    except (OSError, FieldError) as error:
+        raise GalenError(f"{path}: a label can't be read: {error}") from error
+
+
+def diagnose(folder: Path, workers: int | None, command: Sequence[str] = DIAGNOSING) -> None:
+    """Have the diagnosing process answer what has no answer yet; raises GalenError."""
+    private, answers = beside(folder, "labels").resolve(), beside(folder, "answers")
+    with writing(answers):
+        answers.mkdir(exist_ok=True)
+    options = [] if workers is None else ["--workers", str(workers)]
+    with (
+        tempfile.TemporaryDirectory(prefix="galen_blind_check_") as temporary,
+        subprocess.Popen(
+            [*command, str(folder / "recordings"), str(answers), str(private), *options],
+            env={**os.environ, "TMPDIR": temporary, "OMP_NUM_THREADS": "1"}
+            | {"OPENBLAS_NUM_THREADS": "1"},
+            start_new_session=True,
+        ) as process,
+    ):
+        try:
+            code = process.wait()
+        except BaseException:
+            os.killpg(process.pid, signal.SIGINT)
+            raise
     if code == EXIT_INTERRUPTED:
         raise KeyboardInterrupt
-    if code not in (EXIT_OK, EXIT_FAILED):
+    if code != EXIT_OK:
         raise GalenError(f"the diagnosing process ended with {code}")
-    return confine.available()
-
-
-def _end(process: subprocess.Popen[bytes]) -> None:
-    """Wait for its end, which a terminal's Ctrl-C brings as well; then insist."""
-    for wait_s in (2.0, 15.0):
-        try:
-            process.wait(wait_s)
-            return
-        except subprocess.TimeoutExpired:
-            process.send_signal(signal.SIGINT)
-    process.kill()
-    process.wait()
-
-
-def open_labels(places: Places, published: str) -> tuple[Label, ...]:
-    """Open the labels, check them against the published hash, and put them into the output."""
-    if places.labels.exists():
-        return opened(places.labels, published)
-    private = private_directory(places.output)
-    labels = opened(private / "labels.json", published)
-    for label in labels:
-        if directory_sha256(places.recordings / label.recording) != label.sha256:
-            raise GalenError(f"{places.recordings / label.recording}: isn't what was sealed")
-    try:
-        write_whole(places.labels, (private / "labels.json").read_text(encoding="utf-8"))
-        seed = read_json(private / "seed.json", 100, "a seed")
-    except OSError as error:
-        raise GalenError(f"{places.labels}: can't be written: {error.strerror}") from error
-    _write(places.plan, {**_read(places.plan), "seed": seed})
-    forget(private)
-    return labels
-
-
-def answered(places: Places, labels: Sequence[Label]) -> list[Answered]:
-    """Return labels with their answers; None where a diagnosis left none. Raises GalenError."""
-    found = []
-    for label in labels:
-        folder = places.answers / label.recording
-        found.append(Answered(label, _said(folder) if (folder / ANSWER).exists() else None))
-    return found
-
-
-def baselines(places: Places, labels: Sequence[Label]) -> dict[str, list[Answered]]:
-    """Return the same for each baseline, by its name."""
-    found: dict[str, list[Answered]] = {}
-    beside = {label.recording: _beside(places.answers / label.recording) for label in labels}
-    names = dict.fromkeys(name for one in beside.values() for name in one.get("baselines", {}))
-    for name in names:
-        for label in labels:
-            answer = beside[label.recording].get("baselines", {}).get(name)
-            path = places.answers / label.recording / BESIDE
-            said = None if answer is None else _checked(path, label.recording, answer, None)
-            found.setdefault(name, []).append(Answered(label, said))
-    return found
-
-
-def _said(folder: Path) -> ParsedAnswer:
-    seconds = _beside(folder).get("seconds")
-    return _checked(folder / ANSWER, folder.name, _read(folder / ANSWER), seconds)
-
-
-def _checked(path: Path, recording: str, content: Any, seconds: float | None) -> ParsedAnswer:
-    try:
-        return parse_answer(recording, content, seconds)
-    except (FieldError, TypeError, ValueError) as error:
-        raise GalenError(f"{path}: {error}") from error
-
-
-def _beside(folder: Path) -> dict[str, Any]:
-    return dict(_read(folder / BESIDE)) if (folder / BESIDE).exists() else {}
-
-
-def _read(path: Path) -> Any:
-    try:
-        return mapping(read_json(path, _LARGEST_JSON, "an answer"), "the content")
-    except OSError as error:
-        raise GalenError(f"{path}: can't be read: {error.strerror}") from error
-    except FieldError as error:
-        raise GalenError(f"{path}: {error}") from error
-
-
-def _write(path: Path, content: Any) -> None:
-    with writing(path):
-        write_whole(path, json.dumps(content, indent=1))

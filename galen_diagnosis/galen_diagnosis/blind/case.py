@@ -13,7 +13,6 @@ names this recording can't separate from the true one.
 from __future__ import annotations
 
 import math
-import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,15 +24,26 @@ from galen_model.errors import GalenError
 from galen_sim_driver.effects.effect import Effect, Instants, Loading
 from scipy.spatial.transform import Rotation
 
-from galen_diagnosis.blind.baselines import explained, templates
-from galen_diagnosis.blind.causes import EFFECTS, LISTED, NEED_PUSHES, PAIRS, TWINS, Cause
-from galen_diagnosis.blind.measuring import Measurement, draw_tolerance, write_recording
-from galen_diagnosis.blind.session import BAGS, draw_session
-from galen_diagnosis.blind.unlisted import CALIBRATION_UNKNOWN, TEST_UNKNOWN, UNLISTED
+from galen_diagnosis.blind.baselines import templates
+from galen_diagnosis.blind.causes import NEED_PUSHES, Cause, listed, pairs, twins
+from galen_diagnosis.blind.measuring import (
+    Measurement,
+    draw_tolerance,
+    recorded,
+    tool_file,
+    write_recording,
+)
+from galen_diagnosis.blind.session import ARMS, BAGS, draw_session
+from galen_diagnosis.blind.unlisted import (
+    CALIBRATION_UNKNOWN,
+    NEED_SPRINGS,
+    TEST_UNKNOWN,
+    UNLISTED,
+)
 from galen_diagnosis.effects.candidates import unknown_columns
-from galen_diagnosis.inference.search import healthy_background
+from galen_diagnosis.effects.forms import healthy_background
 from galen_diagnosis.observation.observation import Observation
-from galen_diagnosis.observation.recording import read_recording
+from galen_diagnosis.observation.recording import BagData, DiagnosticRecording, Track
 
 STRENGTHS = {"faint": 6.0, "clear": 30.0, "gross": 150.0}
 """D of each."""
@@ -54,7 +64,8 @@ class Case:
     """What is asked for; what isn't given, the seed draws.
 
     effects: names, () to let the seed draw them from the kind's list. bags: those that are
-    recorded. tolerance: of the healthy arm, 1 as it usually is, 0 for exactly nominal.
+    recorded. tolerance: of the healthy arm, 1 as it usually is, 0 for exactly nominal. arm: one of
+    ARMS.
     """
 
     seed: int
@@ -63,13 +74,15 @@ class Case:
     strength: str = "clear"
     bags: tuple[str, ...] = BAGS
     tolerance: float = 1.0
+    arm: str = "galen"
 
 
 @dataclass(frozen=True)
 class Truth:
     """What a case hides.
 
-    effects: as in the contract's truth.json. d: D of each; of an unlisted one what the best listed
+    effects: as in the contract's truth.json, with the `member` of those that have models. d: D of
+    each; of an unlisted one what the best listed
     effect leaves. acceptable: for each the names that this recording can't separate from it.
     """
 
@@ -86,18 +99,36 @@ def generate(case: Case, directory: Path) -> Truth:
     """
     if directory.exists() and any(directory.iterdir()):
         raise GalenError(f"{directory}: is there already, and isn't empty")
+    if case.arm not in ARMS:
+        raise GalenError(f"{case.arm!r} is no arm of the blind check; there are {', '.join(ARMS)}")
+    arm = ARMS[case.arm]()
     bags = tuple(b for b in case.bags if case.kind != "ambiguous" or b != "push")
-    tolerance = draw_tolerance(case.seed, case.tolerance)
-    healthy = Measurement(draw_session(case.seed, bags), tolerance)
+    session = draw_session(case.seed, bags, arm)
+    changed, truth = Measurement(session, draw_tolerance(case.seed, case.tolerance, arm)), Truth()
+    if case.kind != "none":
+        changed, truth = _hidden(case, _Yardstick(changed))
     directory.mkdir(parents=True, exist_ok=True)
-    if case.kind == "none":
-        write_recording(directory, healthy)
-        return Truth()
-    with tempfile.TemporaryDirectory(prefix="galen_blind_healthy_") as folder:
-        write_recording(Path(folder), healthy)
-        changed, truth = _hidden(case, _Yardstick(healthy, Path(folder)))
     write_recording(directory, changed)
     return truth
+
+
+def observed(measured: Measurement) -> DiagnosticRecording:
+    """Return what reading the recording gives, without writing it."""
+    samples = recorded(measured)
+    first_ns = {bag: min(s.joint_ns[0], s.wrench_ns[0]) for bag, s in samples.items()}
+    bags = {}
+    for bag, s in samples.items():
+        joint_s, wrench_s, tracker_s = (
+            1e-9 * (stamps - first_ns[bag]) for stamps in (s.joint_ns, s.wrench_ns, s.tracker_ns)
+        )
+        tool, base = (None if one is None else Track(tracker_s, *one) for one in (s.tool, s.base))
+        start_s = 1e-9 * (first_ns[bag] - min(first_ns.values()))
+        bags[bag] = BagData(
+            bag, start_s, joint_s, s.joints, wrench_s, s.readings, tool, base
+        )  # fmt: skip
+    session = measured.session
+    missing = tuple(bag for bag in BAGS if bag not in bags)
+    return DiagnosticRecording("healthy", tool_file(session), bags, missing, (), session.arm)
 
 
 @dataclass(frozen=True)
@@ -140,12 +171,11 @@ class _Difference(Effect):
 class _Yardstick:
     """Measures causes in one session, in the rows of its healthy recording."""
 
-    def __init__(self, healthy: Measurement, recording: Path) -> None:
+    def __init__(self, healthy: Measurement) -> None:
         self.healthy = healthy
-        self._observation = Observation(read_recording(recording))
+        self._observation = Observation(observed(healthy))
         self._behind = healthy_background(self._observation)
-        unknowns = unknown_columns(self._observation)
-        self._templates = list(templates(self._observation, unknowns))
+        self._directions: list[tuple[str, Array]] = []
 
     def with_causes(self, causes: Sequence[Cause]) -> Measurement:
         """Return the same arm with causes."""
@@ -161,12 +191,28 @@ class _Yardstick:
 
     def left(self, difference: Array) -> dict[str, float]:
         """D that each listed effect, as large as it likes, leaves of a difference."""
-        whole = self.strength(difference) ** 2
+        if not self._directions:
+            unknowns = unknown_columns(self._observation)
+            self._directions = [
+                (name, self._across(columns))
+                for name, columns in templates(self._observation, unknowns)
+            ]
+        rows = self._behind.left(difference)
+        whole = self._behind.sum_of_squares(difference)
         found: dict[str, float] = {}
-        for name, columns in self._templates:
-            rest = whole - explained(self._behind, columns, difference)
+        for name, directions in self._directions:
+            rest = whole - float(np.sum((rows @ directions) ** 2))
             found[name] = min(math.sqrt(max(0.0, rest)), found.get(name, math.inf))
         return found
+
+    def _across(self, columns: Array) -> Array:
+        """Return combinations (N, k) of columns, of unit length each after the background's fit."""
+        norms = np.linalg.norm(columns, axis=0)
+        columns = columns[:, norms > 0.0] / norms[norms > 0.0]
+        gram, _ = self._behind.reduced(columns, np.zeros(len(columns)))
+        size, vectors = np.linalg.eigh(gram)
+        good = size > 1e-9
+        return np.asarray(columns @ (vectors[:, good] / np.sqrt(size[good])))
 
     def left_by_best(self, difference: Array) -> float:
         """D that the best of them leaves."""
@@ -199,24 +245,27 @@ class _Yardstick:
 
 def _hidden(case: Case, yardstick: _Yardstick) -> tuple[Measurement, Truth]:
     """Draw causes, give them their strength, and say what can't be separated from them."""
-    rng = np.random.default_rng([case.seed, 3])
+    rng, arm = np.random.default_rng([case.seed, 3]), yardstick.healthy.session.arm
+    known = listed(arm)
+    draws = {**known, **UNLISTED, **(twins(arm) if case.kind == "ambiguous" else {})}
     for _ in range(_REDRAWS):
         names = case.effects or _drawn(rng, case, yardstick.healthy)
+        if strange := [name for name in names if name not in draws]:
+            raise GalenError(f"{strange[0]!r} is no cause of the arm {case.arm}")
         alone: list[Measurement] = []
         strengths: list[float] = []
         lefts: list[dict[str, float]] = []
         for name in names:
-            draw = TWINS[name] if case.kind == "ambiguous" else {**LISTED, **UNLISTED}[name]
-            measure = yardstick.strength if name in LISTED else yardstick.left_by_best
+            measure = yardstick.left_by_best if name in UNLISTED else yardstick.strength
             changed, difference = yardstick.sized(
-                draw(rng, yardstick.healthy), STRENGTHS[case.strength], measure
+                draws[name](rng, yardstick.healthy), STRENGTHS[case.strength], measure
             )
             alone.append(changed)
             strengths.append(measure(difference))
             lefts.append(yardstick.left(difference))
         if case.kind == "pair" and _parted(names, lefts) < _PARTED:
             continue
-        if names[0] in LISTED or strengths[0] >= _PARTED:
+        if names[0] not in UNLISTED or strengths[0] >= _PARTED:
             break
     causes = [cause for one in alone for cause in one.causes]
     together = alone[0] if len(alone) == 1 else yardstick.with_causes(causes)
@@ -224,6 +273,7 @@ def _hidden(case: Case, yardstick: _Yardstick) -> tuple[Measurement, Truth]:
         {
             "effect": cause.name.partition(":")[0],
             "parameters": dict(cause.truth(cause.size, together)),
+            **({"member": cause.member} if cause.member else {}),
         }
         for cause in causes
     )
@@ -233,7 +283,7 @@ def _hidden(case: Case, yardstick: _Yardstick) -> tuple[Measurement, Truth]:
 
 
 def _acceptable(name: str, strength: float, left: dict[str, float]) -> tuple[str, ...]:
-    if name not in LISTED:
+    if name in UNLISTED:
         return ("unknown",)
     others = [other for other, rest in left.items() if rest < TELLABLE and other != name]
     return (name, *others, *(["none"] if strength < TELLABLE else []))
@@ -246,16 +296,16 @@ def _parted(names: Sequence[str], lefts: Sequence[dict[str, float]]) -> float:
 
 
 def _drawn(rng: np.random.Generator, case: Case, healthy: Measurement) -> tuple[str, ...]:
-    there = [e for e in EFFECTS if "push" in healthy.session.takes or e not in NEED_PUSHES]
-    if case.kind == "pair":
-        pairs = [pair for pair in PAIRS if set(pair) <= set(there)]
-        return pairs[rng.integers(len(pairs))]
-    lists = {
-        "single": there,
-        "unknown_calibration": CALIBRATION_UNKNOWN,
-        "unknown_test": TEST_UNKNOWN,
-        "ambiguous": tuple(TWINS),
+    arm = healthy.session.arm
+    there = [e for e in listed(arm) if "push" in healthy.session.takes or e not in NEED_PUSHES]
+    shows = [e for e in UNLISTED if arm.stiffness or e not in NEED_SPRINGS]
+    lists: dict[str, list[tuple[str, ...]]] = {
+        "single": [(name,) for name in there],
+        "pair": [pair for pair in pairs(arm) if set(pair) <= set(there)],
+        "unknown_calibration": [(name,) for name in shows if name in CALIBRATION_UNKNOWN],
+        "unknown_test": [(name,) for name in shows if name in TEST_UNKNOWN],
+        "ambiguous": [(name,) for name in twins(arm)],
     }
     if case.kind not in lists:
         raise GalenError(f"{case.kind!r} is no kind of case; there are {', '.join(KINDS)}")
-    return (str(rng.choice(np.array(lists[case.kind]))),)
+    return lists[case.kind][rng.integers(len(lists[case.kind]))]

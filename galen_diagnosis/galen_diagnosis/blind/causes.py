@@ -3,6 +3,13 @@
 A `Cause` is a size and what it changes on the way from joints to files. Those of the arm change
 the plant that MuJoCo simulates; those of sensor and tracker change arrays. `unlisted.py` has those
 that aren't on the list.
+
+Hysteresis, backlash, drift and cables have several models each, `member`, of which the seed picks
+one: dry friction in all rods, in some, in the drives, in one of them, there with a larger static
+friction, or in series with springs beside the drives' (sliders in parallel: Iwan, J. Appl. Mech.
+33, 1966); gaps that close at once, with stiction, or softly; drifts that warm up, walk, do both, or
+are linear; a cable that is a spring, one that hangs by its weight, and a hose that is stiff in all
+directions.
 """
 
 from __future__ import annotations
@@ -13,22 +20,32 @@ from itertools import combinations
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
-from galen_model.arm.arm import STANDARD_GRAVITY_M_S2
+from galen_model.arm.arm import STANDARD_GRAVITY_M_S2, Arm
 from galen_model.arm.galen import GALEN, SENSOR, WRENCH_AXES
 from galen_model.arrays import Array
 from scipy.interpolate import PchipInterpolator
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
-from galen_diagnosis.blind.mujoco_arm import DECAY, Body, Cable, Gap, InnerMass, Plant
+from galen_diagnosis.blind.mujoco_arm import (
+    DECAY,
+    Body,
+    Cable,
+    Gap,
+    InnerMass,
+    Plant,
+    Pull,
+    Slider,
+    Stribeck,
+)
 from galen_diagnosis.blind.session import BAGS, any_direction
 
 if TYPE_CHECKING:
     from galen_diagnosis.blind.measuring import Measurement
 
-TURNING = GALEN.turning_names
-_LAST = TURNING[-1]
 SIGMA = SENSOR.noise_std
+_SOFT = 1e4
+"""Stiffness over which the softness of a rigid joint is counted, N.m/rad."""
 
 
 @dataclass(frozen=True)
@@ -45,10 +62,11 @@ class Cause:
     """A cause; hooks take its size first, and those that are None change nothing.
 
     name: identity, with the joint where the effect has one. truth: parameters as the contract's
-    section 6 names them. plant: the arm; joints: true joints (n, k) of reported ones; late: topic
-    whose samples are older, by seconds (n,); sense: what the sensor makes of the whole wrench;
-    show: what is published of the zeroed reading; seen: a marker's position in the tracker; stand:
-    displacement (n, 6) of the base's marker.
+    section 6 names them. plant: the arm; joints: true joints (n, k) of reported ones and of seconds
+    since the recording's first stamp (n,); late: topic whose samples are older, by seconds (n,);
+    sense: what the sensor makes of the whole wrench; show: what is published of the zeroed reading;
+    seen: a marker's position in the tracker; stand: displacement (n, 6) of the base's marker; slip:
+    that of the tool's marker in its own axes. member: which of the effect's models.
     """
 
     name: str
@@ -56,12 +74,14 @@ class Cause:
     largest: float
     truth: Callable[[float, Measurement], Mapping[str, Any]]
     plant: Callable[[float, Plant], Plant] | None = None
-    joints: Callable[[float, Array], Array] | None = None
+    joints: Callable[[float, Array, Array], Array] | None = None
     late: tuple[str, Callable[[float, Array], Array]] | None = None
     sense: Callable[[float, Moment, Array], Array] | None = None
     show: Callable[[float, Moment, Array], Array] | None = None
     seen: Callable[[float, Array], Array] | None = None
     stand: Callable[[float, Moment], Array] | None = None
+    slip: Callable[[float, Moment], Array] | None = None
+    member: str = ""
 
     def resized(self, size: float) -> Self:
         """Return the same cause at a size, at most the largest."""
@@ -88,15 +108,17 @@ def _numbers(vector: Array) -> list[float]:
 # Joints and geometry
 
 
-def _place(joint: str) -> Array:
-    return np.eye(len(GALEN.joints))[GALEN.joint_names.index(joint)]
+def _place(arm: Arm, joint: str) -> Array:
+    return np.eye(len(arm.joints))[arm.joint_names.index(joint)]
 
 
 def _zero_offset(joint: str) -> Draw:
     return lambda rng, _: Cause(
         f"joint_zero_offset:{joint}", 0.005 * sign(rng), 0.3,
         lambda size, _: {"joint": joint, "offset_rad": size},
-        plant=lambda size, plant: replace(plant, zero=plant.zero + size * _place(joint)),
+        plant=lambda size, plant: replace(
+            plant, zero=plant.zero + size * _place(plant.arm, joint)
+        ),
     )  # fmt: skip
 
 
@@ -104,23 +126,36 @@ def _gain(joint: str) -> Draw:
     return lambda rng, _: Cause(
         f"joint_gain:{joint}", 0.01 * sign(rng), 0.5,
         lambda size, _: {"joint": joint, "gain": size},
-        plant=lambda size, plant: replace(plant, gain=plant.gain + size * _place(joint)),
+        plant=lambda size, plant: replace(
+            plant, gain=plant.gain + size * _place(plant.arm, joint)
+        ),
     )  # fmt: skip
 
 
 def _misalignment(joint: str) -> Draw:
-    def turned(size: float, plant: Plant) -> Plant:
-        turn = Rotation.from_rotvec([0.0, 0.0, size])
-        joints = tuple(
-            replace(own, axis=turn.apply(own.axis)) if own.name == joint else own
-            for own in plant.arm.joints
-        )
-        return replace(plant, arm=replace(plant.arm, joints=joints))
+    """Turn an axis about z of its parent link, or about x where it lies along z."""
 
-    return lambda rng, _: Cause(
-        f"joint_axis_misalignment:{joint}", 0.01 * sign(rng), 0.4,
-        lambda size, _: {"joint": joint, "about": "z", "angle_rad": size}, plant=turned,
-    )  # fmt: skip
+    def draw(rng: np.random.Generator, healthy: Measurement) -> Cause:
+        arm = healthy.session.arm
+        nominal = arm.joints[arm.joint_names.index(joint)]
+        there = np.eye(3) if nominal.rotation is None else nominal.rotation
+        about = "x" if abs((there @ nominal.axis)[2]) > 0.9 else "z"
+        way = there.T @ np.eye(3)["xyz".index(about)]
+
+        def turned(size: float, plant: Plant) -> Plant:
+            turn = Rotation.from_rotvec(size * way)
+            joints = tuple(
+                replace(own, axis=turn.apply(own.axis)) if own.name == joint else own
+                for own in plant.arm.joints
+            )
+            return replace(plant, arm=replace(plant.arm, joints=joints))
+
+        return Cause(
+            f"joint_axis_misalignment:{joint}", 0.01 * sign(rng), 0.4,
+            lambda size, _: {"joint": joint, "about": about, "angle_rad": size}, plant=turned,
+        )  # fmt: skip
+
+    return draw
 
 
 def _inclination(rng: np.random.Generator, _: Measurement) -> Cause:
@@ -142,9 +177,10 @@ def inclined(about_x: float, about_y: float) -> Cause:
     )  # fmt: skip
 
 
-def _backlash(rng: np.random.Generator, _: Measurement) -> Cause:
+def _backlash(rng: np.random.Generator, healthy: Measurement) -> Cause:
     """At once, with stiction, or softly over a few tenths of a newton metre."""
-    joint, kind, moment = str(rng.choice(TURNING)), int(rng.integers(3)), rng.uniform(0.05, 0.3)
+    joint = str(rng.choice(healthy.session.arm.turning_names))
+    kind, moment = int(rng.integers(3)), rng.uniform(0.05, 0.3)
 
     def gap(size: float, plant: Plant) -> Plant:
         soft = 2.0 * moment / size if kind == 2 else 0.0
@@ -152,33 +188,72 @@ def _backlash(rng: np.random.Generator, _: Measurement) -> Cause:
         return replace(plant, gap=Gap(joint, size, soft, stiction))
 
     return Cause(
-        "backlash", 0.004, 0.08, lambda size, _: {"joint": joint, "gap_rad": size}, plant=gap
-    )
+        "backlash", 0.004, 0.08, lambda size, _: {"joint": joint, "gap_rad": size}, plant=gap,
+        member=("hard", "stiction", "soft")[kind],
+    )  # fmt: skip
 
 
 # Springs
 
 
-def _compliance(rng: np.random.Generator, _: Measurement) -> Cause:
-    name = str(rng.choice(list(GALEN.stiffness)))
+def _compliance(rng: np.random.Generator, healthy: Measurement) -> Cause:
+    """Soften a spring by a share, or a rigid joint to _SOFT over the size."""
+    known = healthy.session.arm.stiffness
+    name = str(rng.choice(list(known or healthy.session.arm.turning_names)))
+
+    def stiffness(size: float) -> float:
+        return known[name] / (1.0 + size) if known else _SOFT / max(size, 1e-3)
 
     def softer(size: float, plant: Plant) -> Plant:
-        stiffness = plant.arm.stiffness[name] / (1.0 + size)
-        return replace(plant, arm=plant.arm.with_stiffness({name: stiffness}))
+        # The healthy arm's own is a little other than the nominal one.
+        own = plant.arm.stiffness[name] / (1.0 + size) if known else stiffness(size)
+        return replace(plant, arm=plant.arm.with_stiffness({name: own}))
 
     return Cause(
-        "joint_compliance", 0.1, 4.0,
-        lambda size, _: {"stiffness": {name: GALEN.stiffness[name] / (1.0 + size)}},
+        "joint_compliance", 0.1, 4.0, lambda size, _: {"stiffness": {name: stiffness(size)}},
         plant=softer,
     )  # fmt: skip
 
 
-def _hysteresis(rng: np.random.Generator, _: Measurement) -> Cause:
-    """Dry friction along the rods, in newtons: the platform stays where the last push left it."""
+def _hysteresis(rng: np.random.Generator, healthy: Measurement) -> Cause:
+    """Dry friction (N; 50 mm of lever in a joint): the arm stays where the last push left it."""
+    members = ["rods", "some rods", "drives", "one drive", "stick-slip", "sliders"]
+    member, joint = str(rng.choice(members)), str(rng.choice(healthy.session.arm.turning_names))
+    falls = float(rng.uniform(0.02, 0.2))
+    legs = rng.permutation([1.0, float(rng.integers(2)), 0.0])
+    rods = np.ones(6) if member == "rods" else np.repeat(legs, 2)
+    levers = {name: 1.0 if name == "carriage" else 0.05 for name in healthy.plant.arm.stiffness}
+    del levers["rod"]
+
+    def rubs(size: float, plant: Plant) -> Plant:
+        if "rods" in member:
+            return replace(plant, rod_friction_n=size * rods)
+        if member == "stick-slip":
+            # Stribeck's fall from a static friction twice as large.
+            return replace(plant, stribeck=Stribeck(joint, 0.05 * size, 0.025 * size, falls))
+        if member == "one drive":
+            return replace(plant, friction={joint: 0.05 * size})
+        return replace(plant, friction={name: size * lever for name, lever in levers.items()})
+
+    slides_n = rng.uniform(2.0, 8.0)
+
+    def slides(size: float, plant: Plant) -> Plant:
+        """Sliders carry a share of each drive's load until it is slides_n or twice that."""
+        beside, own = [], {}
+        for name, lever in levers.items():
+            stiffness = plant.arm.stiffness[name]
+            own[name] = (1.0 - size) * stiffness
+            joints = [f"carriage{leg}" for leg in range(3)] if name == "carriage" else [name]
+            for part, limit in ((0.6, 1.0), (0.4, 2.0)):
+                friction = part * size * limit * slides_n * lever
+                beside += [Slider(joint, part * size * stiffness, friction) for joint in joints]
+        return replace(plant, arm=plant.arm.with_stiffness(own), sliders=tuple(beside))
+
+    start, largest = {"sliders": (0.2, 0.8), "drives": (2.0, 6.0)}.get(member, (5.0, 60.0))
     return Cause(
-        "deflection_hysteresis", 5.0, 60.0,
+        "deflection_hysteresis", start, largest,
         lambda _, measured: {"residual_fraction": measured.residual_fraction()},
-        plant=lambda size, plant: replace(plant, rod_friction_n=size),
+        plant=slides if member == "sliders" else rubs, member=member,
     )  # fmt: skip
 
 
@@ -218,25 +293,65 @@ def _loose(rng: np.random.Generator, _: Measurement) -> Cause:
     return Cause("loose_tool", 0.001, 0.05, lambda size, _: {"shift_m": size}, plant=sags)
 
 
-def _cable(rng: np.random.Generator, _: Measurement) -> Cause:
-    """Held somewhere above, beside or behind the arm; its size is the usual tension."""
-    x, y, z = rng.uniform([0.0, 0.2, 0.7], [0.8, 0.7, 1.5]) * [1.0, sign(rng), 1.0]
-    a, b, c = rng.uniform([0.02, -0.02, 0.02], [0.10, 0.02, 0.08])
+def _cable(rng: np.random.Generator, healthy: Measurement) -> Cause:
+    """Held somewhere above, beside or behind the tool; its size is the usual tension."""
+    arm = healthy.session.arm
+    rotation, origin = arm.sensor_pose(arm.home)
+    away = rng.uniform([-0.7, 0.2, 0.2], [0.1, 0.7, 1.0]) * [1.0, sign(rng), 1.0]
+    hold = rng.uniform([0.02, -0.02, 0.02], [0.10, 0.02, 0.08])
+    rest = origin + rotation @ hold
+    x, y, z = rest + away
+    member = str(rng.choice(["spring", "hanging", "hose"]))
+    usual = float(np.linalg.norm(away))
     grow, weight, friction = rng.uniform([1.05, 0.05, 0.0], [2.5, 0.3, 0.03])
-    usual = float(np.linalg.norm(np.array([x, y, z]) - [0.72, 0.0, 0.5]))
+    slack, sideways = rng.uniform(1.05, 1.3), rng.uniform(0.2, 1.0)
+    courses = [take.course(take.wrench.taken_s[::20]) for take in healthy.session.takes.values()]
+    turns, origins = arm.sensor_pose(np.concatenate(courses))
+    farthest = float(np.max(np.linalg.norm(rest + away - origins - turns @ hold, axis=1)))
 
     def hung(size: float, plant: Plant) -> Plant:
+        if member == "hose":
+            # Straight it pulls by `size` where the arm is at home, and is a spring in all ways.
+            along = away / usual
+            spring = 2.0 * size / usual * np.diag(np.where(np.eye(3)[2], 1.0, sideways))
+            neutral = rest + np.linalg.solve(spring, size * along)
+            return replace(plant, pull=Pull(hold, lambda at: (neutral - at) @ spring))
+        if member == "hanging":
+            length = slack * farthest
+            return replace(
+                plant, pull=Pull(hold, lambda at: catenary(at, rest + away, length, size))
+            )
         # Tension `size` at the usual distance, and `grow` times more of it at twice that.
         cable = Cable(
-            (x, y, z), (a, b, c), size * grow / usual, usual * (1.0 - 1.0 / grow),
+            (x, y, z), tuple(hold), size * grow / usual, usual * (1.0 - 1.0 / grow),
             size * weight / STANDARD_GRAVITY_M_S2, size * friction,
         )  # fmt: skip
         return replace(plant, cable=cable)
 
     return Cause(
         "cable_drag", 0.2, 10.0, lambda _, measured: {"tension_N": measured.mean_tension()},
-        plant=hung,
+        plant=hung, member=member,
     )  # fmt: skip
+
+
+def catenary(at: Array, anchor: Array, length_m: float, weight_n: float) -> Array:
+    """Force (n, 3) of a heavy cable, N, on its lower ends (n, 3); all in base_link, z up.
+
+    With the span h, the height v and sinh(x) / x = sqrt(L^2 - v^2) / h it pulls by the weight of
+    h / (2 x) sideways, and down by half its weight less v / L coth(x) of that (Irvine, Cable
+    Structures, 1981, chapter 1).
+    """
+    away = anchor - at
+    span = np.maximum(np.linalg.norm(away[:, :2], axis=1), 1e-3)
+    height = away[:, 2]
+    slack = np.sqrt(np.maximum(length_m**2 - height**2, 1e-9)) / span
+    x = np.full(len(at), 5.0)
+    for _ in range(50):  # Newton's, from above: sinh(x) / x is convex
+        x = x - (np.sinh(x) / x - np.maximum(slack, 1.0001)) * x**2 / (x * np.cosh(x) - np.sinh(x))
+    density = weight_n / length_m
+    down = 0.5 * density * (length_m - height / np.tanh(x))
+    sideways = (0.5 * density / x)[:, None] * away[:, :2]
+    return np.column_stack([sideways, -down])
 
 
 def _inertial(rng: np.random.Generator, healthy: Measurement) -> Cause:
@@ -305,20 +420,27 @@ def _saturation(rng: np.random.Generator, healthy: Measurement) -> Cause:
 
 
 def _drift(rng: np.random.Generator, healthy: Measurement) -> Cause:
-    """Warming up, 1 - exp(-t / tau), a random walk that returns, or half of each."""
+    """Warming up, 1 - exp(-t / tau), a random walk that returns, half of each, or straight."""
     way = any_direction(rng, 6) * SIGMA
-    share = float(rng.choice([0.0, 0.5, 1.0]))
+    member = str(rng.choice(["warming", "walk", "both", "linear"]))
     duration_s = healthy.session.duration_s
     at_s = np.arange(0.0, duration_s + 8.0, 4.0)
     warm = 1.0 - np.exp(-at_s / rng.uniform(60.0, 900.0))
     keep = np.exp(-4.0 / rng.uniform(60.0, 2000.0))
     walk = lfilter([1.0], [1.0, -keep], rng.standard_normal((len(at_s), 6)), axis=0)
-    values = (1.0 - share) * (warm / warm[-1])[:, None] + share * walk / np.std(walk)
+    walk = walk / np.std(walk)
+    even = np.ones(6) * (warm / warm[-1])[:, None]
+    shapes = {
+        "warming": even, "walk": walk, "both": 0.5 * (even + walk),
+        "linear": np.outer(at_s / duration_s, np.ones(6)),
+    }  # fmt: skip
+    values = shapes[member]
     shape = PchipInterpolator(at_s, way * (values - values[0]))
     last = shape(duration_s) / duration_s * 3600.0
     return Cause(
         "sensor_drift", 1.0, 500.0, lambda size, _: {"rate_per_hour": _numbers(size * last)},
         show=lambda size, at, reading: reading + size * shape(np.maximum(at.session_s, 0.0)),
+        member=member,
     )  # fmt: skip
 
 
@@ -331,7 +453,7 @@ def _step(rng: np.random.Generator, healthy: Measurement) -> Cause:
 
     def show(size: float, at: Moment, reading: Array) -> Array:
         late = BAGS.index(at.bag) - BAGS.index(bag)
-        gone = _smooth((at.bag_s - time_s) / takes_s) if late == 0 else float(late > 0)
+        gone = smooth((at.bag_s - time_s) / takes_s) if late == 0 else float(late > 0)
         return reading + size * np.multiply.outer(np.broadcast_to(gone, len(reading)), way)
 
     return Cause(
@@ -343,16 +465,22 @@ def _step(rng: np.random.Generator, healthy: Measurement) -> Cause:
     )  # fmt: skip
 
 
-def _smooth(part: Array) -> Array:
+def smooth(part: Array) -> Array:
+    """Rise from 0 to 1 between the parts 0 and 1, without a kink."""
     share = np.clip(part, 0.0, 1.0)
     return np.asarray(share**2 * (3.0 - 2.0 * share))
 
 
 def _delay(topic: str) -> Draw:
-    """By a delay that beats a little, as a polled buffer's does."""
+    """By a delay that beats a little, as a polled buffer's does.
 
-    def draw(rng: np.random.Generator, _: Measurement) -> Cause:
+    The tracker's is steady where an arm doesn't give: it shows on three short ways alone.
+    """
+
+    def draw(rng: np.random.Generator, healthy: Measurement) -> Cause:
         beat, period_s = rng.uniform(0.0, 0.12), rng.uniform(2.0, 15.0)
+        if topic == "tracker" and not healthy.session.arm.stiffness:
+            beat = 0.0
         return Cause(
             f"{topic}_delay", 0.005, 0.5, lambda size, _: {"delay_s": size},
             late=(topic, lambda size, at_s: size * (
@@ -385,14 +513,31 @@ def _base_shift(rng: np.random.Generator, healthy: Measurement) -> Cause:
             "translation_m": _numbers(size * way[:3]), "rotvec_rad": _numbers(size * way[3:]),
             "time_s": time_s + 0.5 * takes_s,
         },
-        stand=lambda size, at: size * np.outer(_smooth((at.bag_s - time_s) / takes_s), way),
+        stand=lambda size, at: size * np.outer(smooth((at.bag_s - time_s) / takes_s), way),
     )  # fmt: skip
 
 
-LISTED: Mapping[str, Draw] = {
-    **{f"joint_zero_offset:{joint}": _zero_offset(joint) for joint in TURNING},
-    f"joint_gain:{_LAST}": _gain(_LAST),
-    f"joint_axis_misalignment:{_LAST}": _misalignment(_LAST),
+def listed(arm: Arm) -> dict[str, Draw]:
+    """Return an arm's causes by what a diagnosis distinguishes, with the joint where it has one.
+
+    Gains and axes of the Galen are its last joint's; of other arms every joint's. The zero of a
+    joint about gravity does nothing that where the tracker stands wouldn't do, and where no joint
+    gives, no deflection can stay.
+    """
+    names = arm.turning_names
+    _, axes = arm.joint_axes(arm.home)
+    upright = abs(axes[arm.turning[0]] @ arm.gravity_m_s2) > 0.999 * STANDARD_GRAVITY_M_S2
+    zeros = names[1:] if upright else names
+    others = names[-1:] if arm.delta is not None else zeros
+    return {
+        **{f"joint_zero_offset:{joint}": _zero_offset(joint) for joint in zeros},
+        **{f"joint_gain:{joint}": _gain(joint) for joint in others},
+        **{f"joint_axis_misalignment:{joint}": _misalignment(joint) for joint in others},
+        **{name: draw for name, draw in _ANYWHERE.items() if arm.stiffness or name not in _SPRINGY},
+    }
+
+
+_ANYWHERE: Mapping[str, Draw] = {
     "base_inclination": _inclination,
     "sensor_mount_rotation": _mount,
     "axis_gain": _axis_gain,
@@ -413,9 +558,11 @@ LISTED: Mapping[str, Draw] = {
     "tracker_scale": _tracker_scale,
     "base_shift": _base_shift,
 }
-"""By what a diagnosis distinguishes: the contract's names, with the joint where it has one."""
 
-EFFECTS = tuple(LISTED)
+_SPRINGY = ("deflection_hysteresis",)
+
+EFFECTS = tuple(listed(GALEN))
+"""Of the Galen."""
 
 NEED_PUSHES = (
     "joint_compliance", "deflection_hysteresis", "tracker_delay", "tracker_scale", "base_shift",
@@ -427,11 +574,28 @@ _ALIKE = (
     {"sensor_mount_rotation", "crosstalk"},
 )  # fmt: skip
 
-PAIRS = tuple(pair for pair in combinations(EFFECTS, 2) if set(pair) not in _ALIKE)
-"""All pairs but those of near twins."""
 
-TWINS: Mapping[str, Draw] = {
-    f"joint_zero_offset:{TURNING[0]}": _zero_offset(TURNING[0]),
-    "base_inclination": lambda rng, _: inclined(sign(rng), 0.0),
-}
-"""Exact twins where nothing pushes: both turn gravity about the first turning axis."""
+def pairs(arm: Arm) -> tuple[tuple[str, str], ...]:
+    """Return all pairs of an arm's causes but those of near twins."""
+    return tuple(pair for pair in combinations(listed(arm), 2) if set(pair) not in _ALIKE)
+
+
+PAIRS = pairs(GALEN)
+"""Of the Galen."""
+
+
+def twins(arm: Arm) -> dict[str, Draw]:
+    """Return exact twins where nothing pushes: all turn gravity about the same axis.
+
+    These are zeros of parallel joints, and of the first joint and the base.
+    """
+    if arm.delta is not None:
+        return {
+            f"joint_zero_offset:{arm.turning_names[0]}": _zero_offset(arm.turning_names[0]),
+            "base_inclination": lambda rng, _: inclined(sign(rng), 0.0),
+        }
+    _, axes = arm.joint_axes(arm.home)
+    along = np.abs(np.sum(axes[1:] * axes[:-1], axis=1)) > 0.999
+    parallel = np.concatenate([[False], along]) | np.concatenate([along, [False]])
+    joints = [name for name, one in zip(arm.joint_names, parallel, strict=True) if one]
+    return {f"joint_zero_offset:{joint}": _zero_offset(joint) for joint in joints}

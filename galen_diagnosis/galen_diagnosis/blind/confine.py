@@ -1,17 +1,10 @@
-"""Start a command that can't read one directory, nor the memory of who started it.
-
-    echo DIRECTORY | python -m galen_diagnosis.blind.confine [--allow DIR...] -- COMMAND...
+"""Lock a process out of one directory: no reading of what is in it, nor of other processes' memory.
 
 Linux's Landlock (kernel 5.13 and later; Documentation/userspace-api/landlock.rst) takes from a
 process, for good and for all its children, rights that it had. It knows only what is allowed, so
 allowed is all but the way down to the directory: on each level everything beside it. What appears
-there later can't be read either, but for the directories of `--allow`. A process so confined can't
-look into the memory of those that aren't (ptrace, /proc/PID/mem). The directory comes
-by standard input and is forgotten when COMMAND takes this process's place: it is in no argument and
-no variable.
-
-Without Landlock COMMAND runs all the same, and nothing but not knowing the directory holds it off;
-`available` says which.
+on these levels later can't be read either. A process so confined can't look into the memory of
+those that aren't (ptrace, /proc/PID/mem).
 """
 
 from __future__ import annotations
@@ -20,7 +13,7 @@ import ctypes
 import os
 import struct
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 # The same on all of Linux's architectures since 5.13.
@@ -38,13 +31,13 @@ def available() -> bool:
     return _libc().syscall(_CREATE_RULESET, None, ctypes.c_size_t(0), _VERSION_FLAG) > 0
 
 
-def lock_out(directory: Path, allow: Iterable[Path] = ()) -> None:
+def lock_out(directory: Path) -> None:
     """Take the right to read `directory` from this thread and its children; raises OSError."""
     libc = _libc()
     handled = struct.pack("=Q", _READ_FILE | _READ_DIR)  # struct landlock_ruleset_attr
     ruleset = _checked(libc.syscall(_CREATE_RULESET, handled, ctypes.c_size_t(len(handled)), 0))
     try:
-        for path in (*_beside(directory.resolve()), *allow):
+        for path in _beside(directory.resolve()):
             _allow(libc, ruleset, path)
         _checked(libc.prctl(_NO_NEW_PRIVILEGES, 1, 0, 0, 0))
         _checked(libc.syscall(_RESTRICT_SELF, ruleset, 0))
@@ -70,7 +63,7 @@ def _allow(libc: ctypes.CDLL, ruleset: int, path: Path) -> None:
     try:
         handle = os.open(path, os.O_PATH | os.O_CLOEXEC)
     except OSError:
-        return  # gone meanwhile, or a link to nothing
+        return  # gone meanwhile
     try:
         rights = _READ_FILE | _READ_DIR if path.is_dir() else _READ_FILE
         rule = struct.pack("=Qi", rights, handle)  # struct landlock_path_beneath_attr, packed
@@ -88,17 +81,3 @@ def _checked(result: int) -> int:
         number = ctypes.get_errno()
         raise OSError(number, os.strerror(number))
     return result
-
-
-def main(arguments: list[str]) -> int:
-    """Entry point; on success COMMAND takes this process's place."""
-    cut = arguments.index("--")
-    allow = [Path(path) for path in arguments[:cut] if path != "--allow"]
-    directory = Path(sys.stdin.readline().rstrip("\n"))
-    if available():
-        lock_out(directory, allow)
-    os.execv(arguments[cut + 1], arguments[cut + 1 :])
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

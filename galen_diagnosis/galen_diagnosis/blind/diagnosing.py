@@ -1,15 +1,14 @@
-"""The diagnosing process: gets a directory of recordings, leaves an answer for each.
+"""The diagnosing process: gets recordings, leaves an answer of each method for each.
 
-    python -m galen_diagnosis.blind.diagnosing RECORDINGS ANSWERS [--workers N]
+    python -m galen_diagnosis.blind.diagnosing RECORDINGS ANSWERS LABELS [--workers N]
 
-It gets nothing else, and `confine` starts it so that it can't read the labels.
+Where the system can, it first takes the right to read LABELS from itself and its children.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -19,13 +18,18 @@ from typing import Any
 
 from galen_bags.many import run_many
 from galen_model.files.atomic_file import write_whole
-from galen_ros.command import EXIT_FAILED, EXIT_OK, add_workers, run_command
+from galen_ros.command import EXIT_OK, run_command, whole
 
-ANSWER, BESIDE, FAILED = "diagnosis.json", "beside.json", "failed.txt"
+from galen_diagnosis.blind import confine
+from galen_diagnosis.blind.answers import ANSWER
+
+PROGRAM = "galen_diagnosis"
+Diagnose = Callable[[Path], Mapping[str, Any]]
+"""Returns the answers to a recording, as JSON, by method."""
 
 
-def diagnosed(recording: Path) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
-    """Return the program's answer and the baselines' on the same rows, as JSON."""
+def diagnosed(recording: Path) -> dict[str, Any]:
+    """Return the baselines' answers and the program's, with its wall time."""
     from galen_diagnosis.blind.baselines import answers
     from galen_diagnosis.inference.diagnosing import diagnose_recording
     from galen_diagnosis.observation.observation import Observation
@@ -33,60 +37,40 @@ def diagnosed(recording: Path) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
 
     started_s = time.monotonic()
     read = read_recording(recording)
-    found = diagnose_recording(read)
-    seconds = time.monotonic() - started_s
-    return found.answer.to_json(), {"seconds": seconds, "baselines": answers(Observation(read))}
-
-
-Diagnose = Callable[[Path], tuple[Mapping[str, Any], Mapping[str, Any]]]
+    found = diagnose_recording(read).answer.to_json()
+    own = {**found, "seconds": time.monotonic() - started_s}
+    return {**answers(Observation(read)), PROGRAM: own}
 
 
 def diagnose_one(recording: Path, answers: Path, diagnose: Diagnose = diagnosed) -> None:
-    """Write the answer last, so that it is there only when all is; called in any process."""
-    answer, beside = diagnose(recording)
-    folder = answers / recording.name
-    write_whole(folder / BESIDE, json.dumps(beside))
-    write_whole(folder / ANSWER, json.dumps(answer, indent=2))
-
-
-def diagnose_all(
-    recordings: Path,
-    answers: Path,
-    diagnose: Diagnose = diagnosed,
-    workers: int | None = None,
-    scheduler: str | None = None,
-) -> int:
-    """Diagnose what has no answer yet; returns how many failed, which say why in a file."""
-    waiting = [
-        folder
-        for folder in sorted(recordings.iterdir())
-        if not (answers / folder.name / ANSWER).exists()
-    ]
-    one = partial(diagnose_one, answers=answers, diagnose=diagnose)
-    outcomes = run_many(one, waiting, scheduler=scheduler, workers=workers)
-    failed = [outcome for outcome in outcomes if outcome.error is not None]
-    for outcome in failed:
-        write_whole(answers / outcome.bag.name / FAILED, f"{outcome.error}\n")
-    return len(failed)
+    """Write the answers, the program's last; called in any process."""
+    for method, answer in diagnose(recording).items():
+        write_whole(answers / method / recording.name / ANSWER, json.dumps(answer, indent=1))
 
 
 def main(args: Sequence[str] | None = None, diagnose: Diagnose = diagnosed) -> int:
-    """Entry point; returns the exit code: that some recordings failed is for the score."""
+    """Diagnose what has no answer yet; returns the exit code, not whether some failed."""
     parser = argparse.ArgumentParser(prog="blind_check: diagnosing")
-    parser.add_argument("recordings", type=Path)
-    parser.add_argument("answers", type=Path)
-    add_workers(parser)
+    for name in ("recordings", "answers", "labels"):
+        parser.add_argument(name, type=Path)
+    parser.add_argument("--workers", type=whole(1))
     given = parser.parse_args(args)
-    os.environ["OMP_NUM_THREADS"] = "1"
+    if confine.available():
+        confine.lock_out(given.labels)
 
     def work() -> int:
-        failed = diagnose_all(
-            given.recordings, given.answers, diagnose, given.workers, given.scheduler
-        )
-        total = sum(1 for _ in given.recordings.iterdir())
-        return EXIT_FAILED if failed == total else EXIT_OK
+        waiting = [
+            folder
+            for folder in sorted(given.recordings.iterdir())
+            if not (given.answers / PROGRAM / folder.name / ANSWER).exists()
+        ]
+        one = partial(diagnose_one, answers=given.answers, diagnose=diagnose)
+        for outcome in run_many(one, waiting, workers=given.workers):
+            if outcome.error is not None:
+                print(f"{Path(str(outcome.bag)).name}: {outcome.error}", file=sys.stderr)
+        return EXIT_OK
 
-    return run_command("blind_check: diagnosing", work)
+    return run_command(parser.prog, work)
 
 
 if __name__ == "__main__":

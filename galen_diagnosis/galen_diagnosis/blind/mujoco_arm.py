@@ -5,6 +5,11 @@ the reference that `joint_states` reports. A delta's platform hangs free on six 
 three carriages, so that its stiffness follows from the rods and is written down nowhere. Drives
 compensate the weight of all links, as nominal has no deflection without a push.
 
+A robot description has no stiffnesses: its joints are rigid, here 1e7 N.m/rad. The tip of an arm of
+0.8 m then gives 1 um under 10 N, a thirtieth of the tracker's noise. A spring that is stiff for the
+time step gets a rotor of STEP_S^2 stiffness (10 kg.m^2 there, as of a geared motor), whose own
+acceleration the drive feeds forward.
+
     reading = force and torque between sensor and adapter - (1 - share) inertial forces
 
 Nominal knows no inertial forces: the sensor subtracts those of the rigid load by its own
@@ -13,7 +18,7 @@ accelerometer, all but the `share` that the effect `inertial_load` leaves in.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -34,8 +39,9 @@ _TURN_DAMPING = 3.0
 
 Over its stiffness of 5e3 N.m/rad it delays the deflection by 0.6 ms, less than a tolerance.
 """
-_RIGID = 1e5
-"""Stiffness of a joint that is called rigid, N.m/rad."""
+RIGID = 1e7
+"""Stiffness of a joint that is called rigid, N.m/rad or N/m."""
+_BEARING = 1e5
 DECAY = 20.0
 """Damping over moved mass, 1/s: vibrations fall to 1/e in 0.1 s, as of a metal structure.
 
@@ -43,7 +49,10 @@ MuJoCo's sensors show the acceleration before the implicit step, which is larger
 by 1 + STEP_S DECAY: 2 % of the inertial forces.
 """
 _HARD = [2.0 * STEP_S, 1.0]
+_GEAR_KG_M2 = 0.3
 _HARD_IMPEDANCE = [0.9999, 0.9999, 1e-5, 0.5, 2.0]
+_STOP_IMPEDANCE = [0.99, 0.99, 1e-5, 0.5, 2.0]
+"""Of an inner mass, which gives 6 um under its weight: harder stops chatter without any play."""
 
 
 @dataclass(frozen=True)
@@ -95,13 +104,52 @@ class Cable:
 
 
 @dataclass(frozen=True)
+class Pull:
+    """A force on the tool at at_m (3,) in ft_sensor, by where that point is.
+
+    force: N (n, 3) of its places (n, 3), m, both in base_link.
+    """
+
+    at_m: Array
+    force: Callable[[Array], Array]
+
+
+@dataclass(frozen=True)
+class Slider:
+    """A spring in series with dry friction, beside a joint's own: N.m/rad and N.m."""
+
+    joint: str
+    stiffness: float
+    friction: float
+
+
+@dataclass(frozen=True)
+class Stribeck:
+    """Friction of a joint that falls with its speed from static to Coulomb's, N.m; fall rad/s."""
+
+    joint: str
+    static: float
+    coulomb: float
+    fall: float
+
+
+@dataclass(frozen=True)
+class Wobble:
+    """An axis that tilts twice a turn: by size_rad sin(2 q + phase) about one across it."""
+
+    joint: str
+    size_rad: float
+    phase: float
+
+
+@dataclass(frozen=True)
 class Plant:
     """One arm as it is; the defaults are nominal.
 
-    rods_m (6,): by how much each rod of a delta is longer; rod_friction_n along each. zero, gain
-    (n,): true joints are (1 + gain) reported + zero. friction: N.m by joint. weight: share of the
-    links' weight that no drive compensates. inertial: share of the inertial
-    forces that stays in the reading.
+    rods_m (6,): by how much each rod of a delta is longer; rod_friction_n (6,) along each. zero,
+    gain (n,): true joints are (1 + gain) reported + zero. friction: N.m by joint. weight: share of
+    the links' weight that no drive compensates. inertial: share of the inertial forces that stays
+    in the reading.
     """
 
     tool: Body
@@ -111,9 +159,13 @@ class Plant:
     rods_m: Array = field(default_factory=lambda: np.zeros(6))
     zero: Array = field(default_factory=lambda: np.zeros(len(GALEN.joints)))
     gain: Array = field(default_factory=lambda: np.zeros(len(GALEN.joints)))
-    rod_friction_n: float = 0.0
+    rod_friction_n: Array = field(default_factory=lambda: np.zeros(6))
     gap: Gap | None = None
     friction: Mapping[str, float] = field(default_factory=dict)
+    stribeck: Stribeck | None = None
+    sliders: tuple[Slider, ...] = ()
+    wobble: Wobble | None = None
+    pull: Pull | None = None
     inner: InnerMass | None = None
     cable: Cable | None = None
     weight: float = 0.0
@@ -123,7 +175,8 @@ class Plant:
 class Trace(NamedTuple):
     """What an arm did: times (n,) s; wrench (n, 6) on the sensor, N and N.m in ft_sensor.
 
-    rotation (n, 3, 3) R_base_tip and position (n, 3) of the tip, m; tension (n,) of the cable, N.
+    rotation (n, 3, 3) R_base_tip and position (n, 3) of the tip, m; tension (n,) of a cable, or
+    size of a pull, N.
     """
 
     at_s: Array
@@ -177,6 +230,10 @@ class MujocoArm:
             link, first = self._platform(), 3
         for joint in plant.arm.joints[first:]:
             link = self._link(link, joint)
+        if plant.wobble is not None:
+            self._drive("wobble", _BEARING)
+        for number, slider in enumerate(plant.sliders):
+            self._slider(f"slider{number}", slider)
         self._load(link)
 
     def _body(self, parent: Any, name: str, kg: float, size_m: float, **place: Any) -> Any:
@@ -197,7 +254,11 @@ class MujocoArm:
         for leg, foot in enumerate(delta.feet_m):
             name = f"carriage{leg}"
             carriage = self._body(self._spec.worldbody, name, _CARRIAGE_KG, 0.05, pos=[*foot, 0.0])
-            carriage.add_joint(name=name, type=mj.mjtJoint.mjJNT_SLIDE, axis=[0.0, 0.0, 1.0])
+            carriage.add_joint(
+                name=name, type=mj.mjtJoint.mjJNT_SLIDE, axis=[0.0, 0.0, 1.0],
+                frictionloss=self.plant.friction.get("carriage", 0.0),
+                solref_friction=_HARD, solimp_friction=_HARD_IMPEDANCE,
+            )  # fmt: skip
             self._drive(name, delta.carriage_stiffness)
             for rod in (2 * leg, 2 * leg + 1):
                 ball = delta.ball_joints_m[rod]
@@ -207,7 +268,7 @@ class MujocoArm:
                 damping = DECAY * _PLATFORM_KG
                 self._span(
                     (f"foot{rod}", f"ball{rod}"), delta.rod_stiffness, length, damping,
-                    friction=self.plant.rod_friction_n,
+                    friction=float(self.plant.rod_friction_n[rod]),
                 )  # fmt: skip
         return platform
 
@@ -219,19 +280,28 @@ class MujocoArm:
         link = self._body(parent, joint.name, _LINK_KG, 0.06, **place)
         turns = joint.kind == "revolute"
         kind = mj.mjtJoint.mjJNT_HINGE if turns else mj.mjtJoint.mjJNT_SLIDE
+        if plant.wobble is not None and plant.wobble.joint == joint.name:
+            across = np.cross(joint.axis, np.eye(3)[np.argmin(np.abs(joint.axis))])
+            link.add_joint(name="wobble", type=kind, axis=across, armature=STEP_S**2 * _BEARING)
+        stiffness = min(joint.stiffness, RIGID)
+        friction = plant.friction.get(joint.name, 0.0)
+        if plant.stribeck is not None and plant.stribeck.joint == joint.name:
+            friction = plant.stribeck.coulomb
         link.add_joint(
             name=joint.name, type=kind, axis=joint.axis,
-            armature=_ROTOR_KG_M2 if turns else _LINK_KG,
-            frictionloss=plant.friction.get(joint.name, 0.0),
-            solref_friction=_HARD, solimp_friction=_HARD_IMPEDANCE,
+            armature=max(_ROTOR_KG_M2 if turns else _LINK_KG, STEP_S**2 * stiffness),
+            frictionloss=friction, solref_friction=_HARD, solimp_friction=_HARD_IMPEDANCE,
         )  # fmt: skip
-        self._drive(joint.name, min(joint.stiffness, _RIGID))
+        self._drive(joint.name, stiffness)
         gap = plant.gap
         if gap is not None and gap.joint == joint.name:
             half = 0.5 * gap.range_rad
             link.add_joint(
                 name="gap", type=kind, axis=joint.axis, limited=1, range=[-half, half],
                 stiffness=[gap.soft, 0.0, 0.0], damping=[0.2, 0.0, 0.0],
+                # Its stops are as stiff as 1 / _HARD^2 of what turns; a gap that is nearly none has
+                # a spring that is too stiff for the step.
+                armature=max(_GEAR_KG_M2, STEP_S**2 * gap.soft),
                 frictionloss=gap.friction, solref_limit=_HARD, solimp_limit=_HARD_IMPEDANCE,
                 solref_friction=_HARD, solimp_friction=_HARD_IMPEDANCE,
             )  # fmt: skip
@@ -246,6 +316,20 @@ class MujocoArm:
         )  # fmt: skip
         drive.gainprm[0], drive.biasprm[1] = stiffness, -stiffness
         self._stiffness.append(stiffness)
+
+    def _slider(self, name: str, slider: Slider) -> None:
+        """Hang a mass with friction on a joint by a spring; it stands where the joint begins."""
+        mj = self._mj
+        mass = self._body(self._spec.worldbody, name, 1e-3, 0.01)
+        mass.add_joint(
+            name=name, type=mj.mjtJoint.mjJNT_HINGE, axis=[0.0, 0.0, 1.0],
+            armature=4.0 * STEP_S**2 * slider.stiffness, frictionloss=slider.friction,
+            solref_friction=_HARD, solimp_friction=_HARD_IMPEDANCE,
+        )  # fmt: skip
+        spring = self._spec.add_tendon(name=f"{name}_spring")
+        spring.wrap_joint(slider.joint, 1.0)
+        spring.wrap_joint(name, -1.0)
+        spring.stiffness[0], spring.springlength = slider.stiffness, [0.0, 0.0]
 
     def _damp(self) -> Array:
         """Damp each servo by the mass that it moves at home; returns N.s/m, N.m.s/rad (drives,)."""
@@ -326,8 +410,8 @@ class MujocoArm:
                 mass.add_joint(
                     type=self._mj.mjtJoint.mjJNT_SLIDE, axis=axis, limited=1,
                     range=[-reach, reach], stiffness=[inner.stiffness, 0.0, 0.0],
-                    damping=[inner.damping, 0.0, 0.0],
-                    solref_limit=[8.0 * STEP_S, 1.0], solimp_limit=_HARD_IMPEDANCE,
+                    damping=[inner.damping, 0.0, 0.0], armature=STEP_S**2 * inner.stiffness,
+                    solref_limit=[8.0 * STEP_S, 1.0], solimp_limit=_STOP_IMPEDANCE,
                 )  # fmt: skip
 
     def _cable(self, tool: Any, cable: Cable) -> None:
@@ -358,31 +442,66 @@ class MujocoArm:
         push (n, 6): wrench in ft_sensor about its origin, N and N.m; None for no contact.
         """
         true = reported * (1.0 + self.plant.gain) + self.plant.zero
-        control = self._controls(true, self._damping)
         settle = round(_SETTLE_S / STEP_S)
-        control = np.concatenate([np.tile(control[:1], (settle, 1)), control])
-        seated = np.concatenate([np.zeros((settle, self._model.nv)), self._seated(true)])
-        control = np.concatenate([control, seated], axis=1)
+        lead = [(settle, 0), (0, 0)]
+        control = np.pad(self._controls(true, self._damping), lead, mode="edge")
+        joint_forces = np.pad(self._seated(true) + self._rubbing(true), lead)
+        control = np.concatenate([control, joint_forces], axis=1)
         applied = np.zeros((len(control), 0))
         spec = self._mj.mjtState.mjSTATE_CTRL | self._mj.mjtState.mjSTATE_QFRC_APPLIED
-        if push is not None:
-            applied = np.concatenate([np.zeros((settle, 6)), self._in_base(true, push)])
+        size = np.zeros(len(true))
+        if push is not None or self.plant.pull is not None:
+            pulled = self._pulled(true)
+            size = np.linalg.norm(pulled[:, :3], axis=1)
+            if push is not None:
+                pulled += self._in_base(true, push)
+            applied = np.pad(pulled, lead, mode="edge")
             spec |= self._mj.mjtState.mjSTATE_XFRC_APPLIED
         rows = self._rollout(true[0], control, applied, spec)[settle:]
-        return self._trace(at_s, rows)
+        trace = self._trace(at_s, rows)
+        return trace if self.plant.cable is not None else trace._replace(tension=size)
 
     def _controls(self, true: Array, damping: Array | None) -> Array:
-        """Servos' set points (n, drives): positions, and their velocities for the damping."""
-        wanted = true
+        """Servos' set points (n, drives): positions, velocities for the damping, accelerations."""
+        wanted, plant = true, self.plant
         delta = self._nominal.delta
         if delta is not None:
             flat = true[:, None, :2] - delta.feet_m
             height = np.sqrt(delta.rod_length_m**2 - np.sum(flat**2, axis=-1))
             wanted = np.concatenate([true[:, 2:3] - height, true[:, 3:]], axis=1)
+        if plant.wobble is not None:
+            own = true[:, plant.arm.joint_names.index(plant.wobble.joint)]
+            tilt = plant.wobble.size_rad * np.sin(2.0 * own + plant.wobble.phase)
+            wanted = np.concatenate([wanted, tilt[:, None]], axis=1)
         if damping is None:
             return np.asarray(wanted)
         velocity = np.gradient(wanted, STEP_S, axis=0)
-        return np.asarray(wanted + damping / np.array(self._stiffness) * velocity)
+        stiffness = np.array(self._stiffness)
+        rotor = np.maximum(STEP_S**2 - _ROTOR_KG_M2 / stiffness, 0.0)
+        ahead = damping / stiffness * velocity + rotor * np.gradient(velocity, STEP_S, axis=0)
+        return np.asarray(wanted + ahead)
+
+    def _rubbing(self, true: Array) -> Array:
+        """Generalized forces (n, nv): friction beyond Coulomb's, at the speed of the reference."""
+        forces = np.zeros((len(true), self._model.nv))
+        stribeck = self.plant.stribeck
+        if stribeck is not None:
+            number = self.plant.arm.joint_names.index(stribeck.joint)
+            speed = np.gradient(true[:, number], STEP_S) / stribeck.fall
+            beyond = (stribeck.static - stribeck.coulomb) * np.exp(-(speed**2))
+            dof = self._model.jnt_dofadr[self._model.joint(stribeck.joint).id]
+            forces[:, dof] = -beyond * np.tanh(20.0 * speed)
+        return forces
+
+    def _pulled(self, true: Array) -> Array:
+        """Wrench (n, 6) of the pull in base_link's axes about the tool's centre of mass."""
+        pull = self.plant.pull
+        if pull is None:
+            return np.zeros((len(true), 6))
+        rotation, origin = self.plant.arm.sensor_pose(true)
+        force = pull.force(origin + rotation @ pull.at_m)
+        lever = rotation @ (pull.at_m - self.plant.tool.com_m)
+        return np.concatenate([force, np.cross(lever, force)], axis=1)
 
     def _seated(self, true: Array) -> Array:
         """Generalized forces (n, nv): the load's weight on a gap, which drives carry elsewhere."""
@@ -433,8 +552,16 @@ class MujocoArm:
             parts.append(sensed[0])
         rows = np.concatenate(parts)
         if not np.all(np.isfinite(rows)) or data.warning.number.any():
-            raise GalenError("the simulated arm became unstable")
+            raise GalenError(
+                f"the simulated {self.plant.arm.name} became unstable with {self._changes()}: a"
+                f" spring is too stiff for the step of {STEP_S:g} s, or a mass too small"
+            )
         return rows
+
+    def _changes(self) -> str:
+        names = "gap", "friction", "stribeck", "sliders", "wobble", "inner", "cable"
+        found = [str(value) for name in names if (value := getattr(self.plant, name))]
+        return ", ".join(found) or "nothing but its springs"
 
     def _start(self, data: Any, joints: Array, control: Array) -> None:
         model, plant = self._model, self.plant
@@ -445,6 +572,9 @@ class MujocoArm:
         for k in range(driven):
             joint = model.actuator_trnid[k, 0]
             qpos[model.jnt_qposadr[joint]] = control[k]
+        for number, slider in enumerate(plant.sliders):
+            own, beside = (model.joint(name).qposadr for name in (slider.joint, f"slider{number}"))
+            qpos[beside] = qpos[own]
         if plant.cable is not None:
             _, origin = plant.arm.sensor_pose(joints)
             at = 0.5 * (np.asarray(plant.cable.anchor_m) + origin)

@@ -1,34 +1,62 @@
-"""Answers against labels: every number of the blind check's tables, and these in Markdown.
+"""Answers against labels: every number of the blind check.
 
-One recording is one unit of every rate. A diagnosis that failed counts as wrong, and as failed
-beside.
+One recording is one unit of every rate. A missing or malformed answer is wrong, and named.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
+from galen_model.arrays import Array
+from galen_model.files.json_fields import FieldError
 from scipy.optimize import linear_sum_assignment
+from scipy.stats import binomtest
 
 from galen_diagnosis.answer.answer import NONE, UNKNOWN
-from galen_diagnosis.blind.labels import Label, ParsedAnswer
-from galen_diagnosis.blind.rates import ParameterError, Rate, calibration, compare, rate
+from galen_diagnosis.blind.answers import Estimate, ParsedAnswer, flat, read_answer
+from galen_diagnosis.blind.labels import Label
 
-STRENGTHS = ("faint", "clear", "gross")
-SURE = ("clear", "gross")
-"""Strengths that a diagnosis must get right; a faint one it may leave open."""
-FALSE_POSITIVES = 0.05
+_BINS = 10
+
+
+class Rate(NamedTuple):
+    """`hits` of `of`."""
+
+    hits: int
+    of: int
+
+    @property
+    def value(self) -> float | None:
+        """The share; None of nothing."""
+        return self.hits / self.of if self.of else None
+
+    @property
+    def interval(self) -> tuple[float, float] | None:
+        """Wilson's 95 % interval (E. B. Wilson, J. Am. Stat. Assoc. 22, 1927)."""
+        if not self.of:
+            return None
+        found = binomtest(self.hits, self.of).proportion_ci(0.95, method="wilson")
+        return float(found.low), float(found.high)
+
+
+def rate(hits: Iterable[bool]) -> Rate:
+    """Count."""
+    found = [bool(hit) for hit in hits]
+    return Rate(sum(found), len(found))
 
 
 @dataclass(frozen=True)
 class Answered:
-    """A label and the answer to it, None where the diagnosis failed."""
+    """A label and the answer to it, None where there is no valid one, for the reason `why`."""
 
     label: Label
     said: ParsedAnswer | None
+    why: str = ""
 
     @property
     def verdict(self) -> str:
@@ -46,189 +74,202 @@ class Answered:
         return self.said is not None and self.said.first in self.label.accepted
 
     @property
-    def named(self) -> bool:
-        """Whether the answer names the truth, or what can't be separated from it."""
-        return self.said is not None and bool(self.label.accepted & self.said.named)
+    def all_named(self) -> bool:
+        """Whether every effect, or what can't be separated from it, is named."""
+        wanted = self.label.wanted
+        return self.said is not None and _matched(wanted, self.said.named) == len(wanted)
 
     @property
-    def whole_set(self) -> bool:
-        """Whether all names that can't be separated are named."""
-        return self.said is not None and self.label.accepted - {NONE} <= self.said.named
+    def solved(self) -> bool:
+        """Whether verdict and causes are right; with twins `ambiguous` is, too."""
+        if self.label.kind in (NONE, UNKNOWN):
+            return self.verdict == self.label.kind
+        alone = all(len(names) == 1 for names in self.label.wanted)
+        return self.verdict in ("identified", "" if alone else "ambiguous") and self.all_named
 
     @property
-    def unknown(self) -> float:
-        """Probability of `unknown`."""
-        return 0.0 if self.said is None else self.said.probability(UNKNOWN)
+    def wrong_and_sure(self) -> bool:
+        """Whether a user would be misled.
+
+        `identified` with a cause that isn't there, by none of the names that can't be separated
+        from it, or `none` with a clear or gross cause.
+        """
+        if self.said is None or self.said.verdict != "identified":
+            return self.verdict == NONE and self.label.sure
+        there = frozenset().union(*self.label.wanted)
+        causes = self.said.causes.values()
+        return not causes or any(there.isdisjoint(cause.same) for cause in causes)
+
+
+def read_answers(labels: Sequence[Label], tool: Path) -> list[Answered]:
+    """Return labels with a tool's answers in its folder; bad ones are None, with the reason."""
+    found = []
+    for label in labels:
+        try:
+            found.append(Answered(label, read_answer(tool, label.recording)))
+        except FieldError as error:
+            found.append(Answered(label, None, f"{error}"))
+    return found
+
+
+@dataclass(frozen=True)
+class ParameterError:
+    """One number of one cause, SI: the truth, what was told, and the largest of its vector."""
+
+    recording: str
+    effect: str
+    name: str
+    true: float
+    scale: float
+    told: Estimate | None
+
+    @property
+    def relative(self) -> float | None:
+        """|told - true| over the scale; None where nothing was told."""
+        return None if self.told is None else abs(self.told.value - self.true) / self.scale
+
+    @property
+    def covered(self) -> bool | None:
+        """Whether the 95 % interval holds the truth; None without one."""
+        if self.told is None or self.told.low is None or self.told.high is None:
+            return None
+        return self.told.low <= self.true <= self.told.high
 
 
 @dataclass(frozen=True)
 class Score:
-    """The whole of it; `_LINES` has one for each rate and number.
+    """The whole of it.
 
-    rates: of recordings, by what is counted. numbers: all that aren't rates. classes: top-1 of
-    none, every effect's singles and unknown, by strength (the empty word where a class has none).
-    by_unknown: unknown ones found by the verdict, by kind. confusion (k, k): counts, row the truth,
-    column the ranking's first, in the order of `names`.
+    values: rates and numbers by name, as in `table.LINES`. classes: what was right by class and
+    strength (the empty word where it has none): singles of each effect by the ranking's first,
+    healthy and unlisted ones by the verdict. members: of clear and gross singles by effect and
+    member: right, called unknown, wrong and sure. confusions: truth and the ranking's first where
+    they differ. failed: recordings without a valid answer, and why.
     """
 
     cases: int
-    failed: int
-    rates: Mapping[str, Rate]
-    numbers: Mapping[str, float | None]
+    values: Mapping[str, Rate | float | None]
     classes: Mapping[str, Mapping[str, Rate]]
-    by_unknown: Mapping[str, Rate]
-    names: tuple[str, ...]
-    confusion: np.ndarray
+    members: Mapping[tuple[str, str], tuple[Rate, Rate, Rate]]
+    confusions: Mapping[tuple[str, str], int]
     errors: tuple[ParameterError, ...]
+    failed: Mapping[str, str]
 
     def to_json(self) -> dict[str, Any]:
-        """All numbers, for `blind_check.json`."""
+        """All numbers; a rate has its value, interval and counts."""
         return {
             "cases": self.cases,
-            "failed": self.failed,
-            "rates": {name: one.to_json() for name, one in self.rates.items()},
-            "numbers": dict(self.numbers),
+            "values": {name: _plain(value) for name, value in self.values.items()},
             "classes": {
-                name: {strength or "all": one.to_json() for strength, one in own.items()}
+                name: {strength or "all": _plain(one) for strength, one in own.items()}
                 for name, own in self.classes.items()
             },
-            "unknown_by_kind": {kind: one.to_json() for kind, one in self.by_unknown.items()},
-            "confusion": {"names": list(self.names), "first": self.confusion.tolist()},
-            "errors": [
-                {**asdict(one), "in_sigma": one.in_sigma, "covered": one.covered}
-                for one in self.errors
+            "members": [
+                {"effect": effect, "member": member}
+                | {k: _plain(v) for k, v in zip(MEMBER_COLUMNS, rates, strict=True)}
+                for (effect, member), rates in self.members.items()
             ],
+            "confusions": [[*pair, count] for pair, count in self.confusions.items()],
+            "errors": [asdict(one) for one in self.errors],
+            "failed": dict(self.failed),
         }
 
 
-def score(cases: Sequence[Answered], effects: Sequence[str]) -> Score:
-    """Score all; effects: the names of the list, in its order."""
-    names = (NONE, *effects, UNKNOWN)
+MEMBER_COLUMNS = ("right", "unknown", "wrong_and_sure")
+
+
+def _plain(value: Rate | float | None) -> Any:
+    if not isinstance(value, Rate):
+        return value
+    return {"value": value.value, "wilson95": value.interval, **value._asdict()}
+
+
+def score(cases: Sequence[Answered]) -> Score:
+    """Score one tool's answers to all recordings of a set, or to some."""
     singles = [c for c in cases if c.label.kind == "single"]
-    pairs = [c for c in cases if c.label.kind == "pair"]
-    unknown = [c for c in cases if c.label.kind == UNKNOWN]
     plain = [c for c in cases if c.label.kind in (NONE, "single", UNKNOWN)]
-    errors, words = _parameters([*singles, *pairs])
-    threshold = _threshold([c.unknown for c in cases if c.label.kind != UNKNOWN])
-    of_pairs, pair_f1 = _pairs(pairs)
-    classes = {name: _by_strength(name, plain, lambda c: c.right) for name in names}
-    twins_as_one = [_by_strength(name, plain, lambda c: c.accepted) for name in effects]
+    sure = [c for c in plain if c.label.sure or c.label.kind == NONE]
+    classes = _by_strength(plain, _class_right)
+    effects = {c.label.effect for c in singles}
+    accepted = _by_strength(singles, lambda c: c.accepted)
+    seconds = [c.said.seconds for c in cases if c.said is not None and c.said.seconds is not None]
+    errors, words = _parameters(cases)
+    confusions = Counter(
+        ((*c.label.names, NONE)[0], c.said.first)
+        for c in plain
+        if c.said is not None and not c.right
+    )
     return Score(
         cases=len(cases),
-        failed=sum(c.said is None for c in cases),
-        rates={
+        values={
             **_rates(cases),
-            **of_pairs,
-            "unknown_at_5_percent": rate(
-                threshold is not None and c.unknown > threshold for c in unknown
-            ),
-            "coverage": rate(e.covered for e in errors if e.covered is not None),
+            **_of_parameters(errors),
             "words": words,
-        },
-        numbers={
-            "top1_by_class": _mean_of_classes([classes[name] for name in effects]),
-            "top1_by_class_accepted": _mean_of_classes(twins_as_one),
-            "unknown_threshold": threshold,
-            "pairs_f1": pair_f1,
-            "rms_error_sigma": _rms([e.in_sigma for e in errors if e.in_sigma is not None]),
+            "top1_by_class": _mean_of_classes(classes[effect] for effect in effects),
+            "top1_by_class_accepted": _mean_of_classes(accepted.values()),
             **calibration(
-                [c.said.ranking for c in plain if c.said is not None],
-                [c.label.answer for c in plain if c.said is not None],
+                [(c.said.ranking, c.label.answer) for c in sure if c.said is not None],
             ),
-            **_seconds(cases),
+            "seconds_median": float(np.median(seconds)) if seconds else None,
+            "seconds_largest": max(seconds, default=None),
+            "failed": rate(c.said is None for c in cases),
         },
-        classes={name: own for name, own in classes.items() if own},
-        by_unknown={
-            kind: rate(c.verdict == UNKNOWN for c in unknown if c.label.unknown == kind)
-            for kind in sorted({c.label.unknown for c in unknown})
-        },
-        names=names,
-        confusion=_confusion(plain, names),
+        classes=dict(sorted(classes.items())),
+        members=_members([c for c in singles if c.label.sure and c.label.member]),
+        confusions=dict(confusions.most_common()),
         errors=errors,
+        failed={c.label.recording: c.why for c in cases if c.said is None},
     )
 
 
 def _rates(cases: Sequence[Answered]) -> dict[str, Rate]:
     """Rates that are counts of one property of some of the recordings."""
-    singles = [c for c in cases if c.label.kind == "single"]
-    faint = [c for c in singles if c.label.strength == "faint"]
-    unknown = [c for c in cases if c.label.kind == UNKNOWN]
-    twins = [
-        c
-        for c in cases
-        if c.label.kind in ("single", "ambiguous")
-        and c.label.strength != "faint"
-        and len(c.label.accepted) > 1
-    ]
-    top1 = {
-        f"top1_{strength}": rate(c.right for c in singles if c.label.strength == strength)
-        for strength in STRENGTHS
-    }
+    of = {kind: [c for c in cases if c.label.kind == kind] for kind in ("single", "pair", UNKNOWN)}
+    twins = [c for c in cases if c.label.kind in ("single", "ambiguous")]
+    twins = [c for c in twins if c.label.sure and len(c.label.accepted - {NONE}) > 1]
     return {
-        **top1,
-        "false_alarms": rate(c.verdict != NONE for c in cases if c.label.kind == NONE),
-        "unknown_by_verdict": rate(c.verdict == UNKNOWN for c in unknown),
+        "detected": rate(c.verdict not in ("", NONE) for c in cases if c.label.sure),
+        **{
+            f"top1_{strength}": rate(c.right for c in of["single"] if c.label.strength == strength)
+            for strength in ("faint", "clear", "gross")
+        },
+        "pairs_named": rate(c.all_named for c in of["pair"]),
+        "pairs_whole": rate(
+            c.all_named and c.said is not None and len(c.said.causes) == 2 for c in of["pair"]
+        ),
+        "twins_named": rate(
+            c.said is not None and c.label.accepted - {NONE} <= c.said.named for c in twins
+        ),
+        "unlisted": rate(c.verdict == UNKNOWN for c in of[UNKNOWN]),
         "known_called_unknown": rate(
             c.verdict == UNKNOWN for c in cases if c.label.kind != UNKNOWN
         ),
-        "faint_wrong_and_sure": rate(c.verdict == "identified" and not c.named for c in faint),
-        "faint_called_none": rate(c.verdict == NONE for c in faint),
-        "faint_open": rate(c.verdict in ("ambiguous", UNKNOWN) for c in faint),
-        "ambiguous_whole": rate(c.whole_set for c in twins),
-        "ambiguous_sure_of_less": rate(
-            c.verdict == "identified" and not c.whole_set for c in twins
-        ),
+        "false_alarms": rate(c.verdict != NONE for c in cases if c.label.kind == NONE),
+        "wrong_and_sure": rate(c.wrong_and_sure for c in cases),
     }
 
 
-def wrong_answers(cases: Sequence[Answered]) -> list[str]:
-    """Say which answers are wrong, one line each.
-
-    Healthy and unlisted causes need their verdict, others all their effects or twins of these
-    named, as identified where no twin is. A faint cause may be left open or missed.
-    """
-    return [
-        f"{case.label.recording}: {_words(case)} of {' and '.join(case.label.names) or NONE}"
-        for case in cases
-        if not _answer_is_right(case)
-    ]
-
-
-def _words(case: Answered) -> str:
-    if case.said is None:
-        return "no answer"
-    return f"verdict {case.said.verdict} ({', '.join(case.said.causes) or 'no cause'})"
-
-
-def _answer_is_right(case: Answered) -> bool:
-    label, answer = case.label, case.said
-    if answer is None:
-        return False
-    if label.kind in (NONE, UNKNOWN):
-        return answer.verdict == label.kind
-    if label.strength == "faint":
-        return answer.verdict != "identified" or case.named
-    wanted = _wanted(label)
-    alone = all(len(names) == 1 for names in wanted)
-    verdicts = ("identified",) if alone else ("identified", "ambiguous")
-    return answer.verdict in verdicts and _matched(wanted, answer.named) == len(wanted)
+def _class_right(case: Answered) -> bool:
+    return case.right if case.label.kind == "single" else case.verdict == case.label.kind
 
 
 def _by_strength(
-    name: str, plain: Sequence[Answered], hit: Callable[[Answered], bool]
-) -> dict[str, Rate]:
-    own: dict[str, list[bool]] = {}
-    for case in plain:
-        if case.label.answer == name:
-            strength = case.label.strength if case.label.kind == "single" else ""
-            own.setdefault(strength, []).append(hit(case))
-    return {strength: rate(hits) for strength, hits in own.items()}
+    cases: Sequence[Answered], hit: Callable[[Answered], bool]
+) -> dict[str, dict[str, Rate]]:
+    hits: dict[str, dict[str, list[bool]]] = {}
+    for case in cases:
+        strength = "" if case.label.kind == NONE else case.label.strength
+        hits.setdefault(case.label.effect, {}).setdefault(strength, []).append(hit(case))
+    return {
+        name: {strength: rate(found) for strength, found in own.items()}
+        for name, own in hits.items()
+    }
 
 
 def sure_rate(by_strength: Mapping[str, Rate]) -> Rate:
-    """Add up clear and gross ones; all where a class has no strengths."""
-    found = [by_strength[s] for s in (*SURE, "") if s in by_strength]
-    return Rate(sum(r.hits for r in found), sum(r.of for r in found))
+    """Add up all but faint ones."""
+    found = [one for strength, one in by_strength.items() if strength != "faint"]
+    return Rate(sum(one.hits for one in found), sum(one.of for one in found))
 
 
 def _mean_of_classes(classes: Iterable[Mapping[str, Rate]]) -> float | None:
@@ -236,177 +277,109 @@ def _mean_of_classes(classes: Iterable[Mapping[str, Rate]]) -> float | None:
     return float(np.mean(shares)) if shares else None
 
 
-def _confusion(plain: Sequence[Answered], names: Sequence[str]) -> np.ndarray:
-    place = {name: number for number, name in enumerate(names)}
-    counts = np.zeros((len(names), len(names)), dtype=int)
-    for case in plain:
-        if case.said is not None and case.said.first in place:
-            counts[place[case.label.answer], place[case.said.first]] += 1
-    return counts
-
-
-def _threshold(of_known: Sequence[float]) -> float | None:
-    """Return the smallest value among theirs that at most 5 % of the known ones exceed."""
-    if not of_known:
-        return None
-    return sorted(of_known, reverse=True)[int(FALSE_POSITIVES * len(of_known))]
-
-
-def _pairs(pairs: Sequence[Answered]) -> tuple[dict[str, Rate], float | None]:
-    """Precision, recall, both and no other; F1.
-
-    A cause counts for an effect that this recording can't separate from it, each once.
-    """
-    hits = named = true = whole = 0
-    for case in pairs:
-        wanted = _wanted(case.label)
-        causes = frozenset() if case.said is None else frozenset(case.said.causes)
-        found = _matched(wanted, causes)
-        hits += found
-        named += len(causes)
-        true += len(wanted)
-        whole += found == len(causes) == len(wanted)
-    rates = {
-        "pairs_precision": Rate(hits, named),
-        "pairs_recall": Rate(hits, true),
-        "pairs_whole": Rate(whole, len(pairs)),
+def _members(cases: Sequence[Answered]) -> dict[tuple[str, str], tuple[Rate, Rate, Rate]]:
+    own: dict[tuple[str, str], list[Answered]] = {}
+    for case in cases:
+        own.setdefault((case.label.effect, case.label.member), []).append(case)
+    return {
+        which: (
+            rate(c.accepted for c in found),
+            rate(c.verdict == UNKNOWN for c in found),
+            rate(c.wrong_and_sure for c in found),
+        )
+        for which, found in sorted(own.items())
     }
-    return rates, 2.0 * hits / (named + true) if true else None
 
 
-def _wanted(label: Label) -> list[set[str]]:
-    same = label.acceptable or tuple((name,) for name in label.names)
-    return [set(names) | {own} for own, names in zip(label.names, same, strict=True)]
-
-
-def _matched(wanted: Sequence[set[str]], causes: frozenset[str]) -> int:
-    """Count the most causes that can each be given to another one of the wanted sets."""
-    if not wanted or not causes:
+def _matched(wanted: Sequence[frozenset[str]], named: frozenset[str]) -> int:
+    """Count the most names that can each be given to another one of the wanted sets."""
+    if not wanted or not named:
         return 0
-    fits = np.array([[float(cause in names) for cause in sorted(causes)] for names in wanted])
+    fits = np.array([[float(name in names) for name in sorted(named)] for names in wanted])
     rows, columns = linear_sum_assignment(-fits)
     return int(fits[rows, columns].sum())
 
 
-def _seconds(cases: Sequence[Answered]) -> dict[str, float | None]:
-    found = [c.said.seconds for c in cases if c.said is not None and c.said.seconds is not None]
-    return {
-        "seconds_median": float(np.median(found)) if found else None,
-        "seconds_largest": max(found, default=None),
-    }
-
-
-def _rms(values: Sequence[float]) -> float | None:
-    return float(np.sqrt(np.mean(np.square(values)))) if values else None
-
-
 def _parameters(cases: Sequence[Answered]) -> tuple[tuple[ParameterError, ...], Rate]:
-    """Of causes that were found: numbers against their truth, words (axis, joint, bag) or not."""
+    """Return numbers of causes that were found, and whether words (axis, joint, bag) are right.
+
+    Of a cause at another axis or joint numbers aren't compared.
+    """
     errors: list[ParameterError] = []
     words: list[bool] = []
     for case in cases:
-        if case.said is None:
+        label = case.label
+        if case.said is None or label.kind == UNKNOWN:
             continue
-        for name, effect in zip(case.label.names, case.label.effects, strict=True):
-            if name in case.said.causes:
-                numbers, right = compare(
-                    case.label.recording, name, effect["parameters"], case.said.causes[name]
-                )
-                errors += numbers
-                words += [] if right is None else [right]
+        for name, effect in zip(label.names, label.effects, strict=True):
+            if name not in case.said.causes:
+                continue
+            told, true = case.said.causes[name].parameters, dict(flat(effect["parameters"]))
+            said = [told.get(key) == one for key, one in true.items() if isinstance(one, str)]
+            words += [all(said)] if said else []
+            if all(said):
+                errors += _numbers(label.recording, name, true, told)
     return tuple(errors), rate(words)
 
 
-# Tables
-
-PROGRAM = "galen_diagnosis"
-_SINGLES = "singles, clear and gross: top-1, mean over classes"
-_LINES = (
-    (_SINGLES, "≥ 95 %", "top1_by_class"),
-    (f"{_SINGLES}, twins of this recording as one", "≥ 95 %", "top1_by_class_accepted"),
-    *((f"singles, {strength}: top-1", "", f"top1_{strength}") for strength in STRENGTHS),
-    ("healthy: false alarms", "≤ 3 %", "false_alarms"),
-    ("unknown found at 5 % false positives", "≥ 85 %", "unknown_at_5_percent"),
-    ("unknown found by the verdict", "", "unknown_by_verdict"),
-    ("known called unknown", "", "known_called_unknown"),
-    ("faint: wrong and sure", "≤ 3 %", "faint_wrong_and_sure"),
-    ("faint: called none", "", "faint_called_none"),
-    ("faint: left open", "", "faint_open"),
-    ("pairs: F1", "≥ 0.90", "pairs_f1"),
-    ("pairs: both and no other", "", "pairs_whole"),
-    ("ambiguous: the whole set named", "", "ambiguous_whole"),
-    ("ambiguous: sure of less", "", "ambiguous_sure_of_less"),
-    ("parameters: coverage of 95 % intervals", "90–99 %", "coverage"),
-    ("parameters: RMS error, own σ", "", "rms_error_sigma"),
-    ("axis, joint, bag named right", "", "words"),
-    ("calibration error (ECE)", "", "calibration_error"),
-    ("calibration error by chance alone", "", "calibration_error_by_chance"),
-    ("Brier score", "", "brier"),
-    ("log score, nats", "", "log_score"),
-    ("wall time of a recording, median, s", "≤ 30", "seconds_median"),
-    ("wall time of a recording, longest, s", "", "seconds_largest"),
-)
+def _numbers(
+    recording: str,
+    effect: str,
+    true: Mapping[str, Estimate | str],
+    told: Mapping[str, Estimate | str],
+) -> list[ParameterError]:
+    numbers = {key: one.value for key, one in true.items() if not isinstance(one, str)}
+    scales: dict[str, float] = {}
+    for key, value in numbers.items():
+        vector = key.partition("[")[0]
+        scales[vector] = max(scales.get(vector, 1e-12), abs(value))
+    found = []
+    for key, value in numbers.items():
+        other = told.get(key)
+        estimate = None if isinstance(other, str) else other
+        scale = scales[key.partition("[")[0]]
+        found.append(ParameterError(recording, effect, key, value, scale, estimate))
+    return found
 
 
-def markdown(scores: Mapping[str, Score]) -> str:
-    """Return the tables; the first score is the program's."""
-    names = list(scores)
-    own = scores[names[0]]
-    rows = [[what, goal, *(_cell(s, key) for s in scores.values())] for what, goal, key in _LINES]
-    rows.append(
-        ["diagnoses that failed", "", *(f"{s.failed} of {s.cases}" for s in scores.values())]
-    )
-    text = _table(["", "goal", *names], rows)
-    classes = [
-        [
-            f"`{name}`",
-            *(_counts(by_strength.get(strength)) for strength in (*STRENGTHS, "")),
-            *(_counts(sure_rate(scores[other].classes.get(name, {}))) for other in names[1:]),
-        ]
-        for name, by_strength in own.classes.items()
+def _of_parameters(errors: Sequence[ParameterError]) -> dict[str, Rate | float | None]:
+    relative = [one.relative for one in errors if one.relative is not None]
+    return {
+        "coverage": rate(one.covered for one in errors if one.covered is not None),
+        "told": rate(one.covered is not None for one in errors),
+        "relative_error": float(np.median(relative)) if relative else None,
+    }
+
+
+def calibration(answers: Sequence[tuple[Mapping[str, float], str]]) -> dict[str, float | None]:
+    """Say how well probabilities hold, of rankings with their truths; None of nothing.
+
+    calibration_error: mean |share of right ones - mean probability| over ten bins of the first's
+    probability, weighted by their numbers (M. P. Naeini et al., AAAI 2015); by_chance: the same of
+    probabilities that hold exactly, at this number. brier: mean sum over the names of
+    (probability - truth)^2, 0 ... 2 (G. W. Brier, 1950).
+    """
+    if not answers:
+        return dict.fromkeys(("calibration_error", "calibration_error_by_chance", "brier"))
+    first = [max(ranking, key=lambda name: ranking[name]) for ranking, _ in answers]
+    sure = np.array([one[0][name] for one, name in zip(answers, first, strict=True)])
+    right = np.array([one[1] == name for one, name in zip(answers, first, strict=True)], float)
+    chance = np.random.default_rng(0)
+    drawn = [
+        _binned_error(sure, (chance.random(len(sure)) < sure).astype(float)) for _ in range(200)
     ]
-    others = [f"{name}, clear and gross" for name in names[1:]]
-    text += ["", *_table(["class: top-1", *STRENGTHS, "all", *others], classes)]
-    if own.by_unknown:
-        kinds = [[f"`{kind}`", percent(found)] for kind, found in own.by_unknown.items()]
-        text += ["", *_table(["outside the list", "found by the verdict"], kinds)]
-    return "\n".join([*text, "", *(f"- {sentence}" for sentence in confusions(own))])
-
-
-def _table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    lines = [headings, ["---"] * len(headings), *rows]
-    return ["| " + " | ".join(line) + " |" for line in lines]
-
-
-def _cell(found: Score, key: str) -> str:
-    if key in found.rates:
-        return percent(found.rates[key])
-    value = found.numbers[key]
-    return "–" if value is None else f"{value:.3f}"
-
-
-def confusions(found: Score, most: int = 12) -> list[str]:
-    """Say what was most often taken for what, a sentence each."""
-    wrong = found.confusion - np.diag(np.diag(found.confusion))
-    pairs = np.argwhere(wrong)
-    pairs = pairs[np.argsort(-wrong[tuple(pairs.T)], kind="stable")][:most]
-    return [
-        f"{found.names[row]} taken for {found.names[column]}: {wrong[row, column]} of"
-        f" {found.confusion[row].sum()}"
-        for row, column in pairs
+    brier = [
+        sum((p - (name == truth)) ** 2 for name, p in ranking.items()) + (truth not in ranking)
+        for ranking, truth in answers
     ]
+    return {
+        "calibration_error": _binned_error(sure, right),
+        "calibration_error_by_chance": float(np.mean(drawn)),
+        "brier": float(np.mean(brier)),
+    }
 
 
-def percent(found: Rate) -> str:
-    """Return `97 % (93–99), 66 of 68`; a dash of nothing."""
-    if found.value is None or found.interval is None:
-        return "–"
-    low, high = found.interval
-    return (
-        f"{100 * found.value:.0f} % ({100 * low:.0f}–{100 * high:.0f}), {found.hits} of {found.of}"
-    )
-
-
-def _counts(found: Rate | None) -> str:
-    """`3/4`; empty of nothing."""
-    return "" if found is None or not found.of else f"{found.hits}/{found.of}"
+def _binned_error(sure: Array, right: Array) -> float:
+    index = np.minimum((sure * _BINS).astype(int), _BINS - 1)
+    excess = np.bincount(index, right - sure, _BINS)
+    return float(np.sum(np.abs(excess)) / len(sure))

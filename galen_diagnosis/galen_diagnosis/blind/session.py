@@ -1,35 +1,36 @@
 """How a blind recording is made: rates, poses, speeds, pushes, noise; drawn from a seed alone.
 
 Whatever names, sizes and durations of the files show is decided here, before any cause is known,
-so that they don't depend on it.
+so that they don't depend on it. The arm is the Galen, or six joints of a robot description.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
+from galen_model.arm.arm import Arm
+from galen_model.arm.description import read_arm
 from galen_model.arm.galen import (
     GALEN,
     SENSOR,
     TRACKER_POSITION_NOISE_M,
     TRACKER_ROTATION_NOISE_RAD,
 )
-from galen_model.arrays import Array
+from galen_model.arrays import Array, evenly_spread
+from galen_model.errors import GalenError
 from scipy.interpolate import BPoly, CubicSpline
 from scipy.spatial.transform import Rotation
 
 from galen_diagnosis.blind.mujoco_arm import Body
 
 BAGS = ("sweep", "motion", "push")
-_PLACE = GALEN.home[: -len(GALEN.turning)]
-_LOW, _HIGH = np.array([-1.45, -0.95]), np.array([1.45, 0.87])
-"""Used part of the angles, rad: inside the limits with what jitter adds."""
-_REACH = np.array([0.09, 0.09, 0.09, 1.35, 0.85])
-_FASTEST = np.array([0.1, 0.1, 0.1, 2.0, 2.0])
-"""Reach and speed of each joint in the bag of motion."""
+_POSES = 56
 _HIGHEST_JITTER_S = 3e-4
 _MOVE_BETWEEN_PUSHES_S = 2.5
 _PUSHES = 18
@@ -39,6 +40,48 @@ _RAMPS: tuple[Callable[[Array], Array], ...] = (
     lambda part: 1.0 - (1.0 - part) ** 2,
 )
 """Straight, rounded, and quick at first."""
+
+
+@cache
+def six_axis() -> Arm:
+    """Return the arm of the description that galen_bringup installs; raises GalenError."""
+    installed = Path("share", "galen_bringup", "urdf", "six_axis.urdf")
+    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    found = [path for prefix in prefixes if prefix and (path := prefix / installed).exists()]
+    if not found:
+        raise GalenError(
+            f"the six-joint arm needs {installed}, which no prefix of AMENT_PREFIX_PATH has: build"
+            " galen_bringup and source its set-up"
+        )
+    arm = read_arm(found[0].read_text(encoding="utf-8"))
+    bent = 0.0, -1.3, 1.7, -0.8, 0.5, 0.0
+    joints = zip(arm.joints, bent, strict=True)
+    return replace(arm, joints=tuple(replace(joint, home=home) for joint, home in joints))
+
+
+ARMS: Mapping[str, Callable[[], Arm]] = {"galen": lambda: GALEN, "six_axis": six_axis}
+
+
+class Space(NamedTuple):
+    """Where an arm is used, about its middle (n,): each joint's reach and speed in free motion."""
+
+    middle: Array
+    reach: Array
+    fastest: Array
+
+
+_LOW, _HIGH = np.array([-1.45, -0.95]), np.array([1.45, 0.87])
+"""Used part of the Galen's angles, rad: inside the limits with what jitter adds."""
+
+
+def space(arm: Arm) -> Space:
+    """Return an arm's usual space; that of a serial arm is the wider the nearer to the tool."""
+    if arm.delta is not None:
+        middle = arm.with_angles(0.5 * (_LOW + _HIGH))
+        return Space(middle, arm.by_unit(0.09, (1.35, 0.85)), arm.by_unit(0.1, 2.0))
+    reach = np.linspace(0.6, 1.4, len(arm.joints))
+    room = np.minimum(arm.upper - arm.home, arm.home - arm.lower) - 0.1
+    return Space(arm.home, np.minimum(reach, room), arm.by_unit(0.1, 1.2))
 
 
 @dataclass(frozen=True)
@@ -137,7 +180,7 @@ class Take:
 
 @dataclass(frozen=True)
 class Session:
-    """A recording as it is planned.
+    """A recording as it is planned; the sensor is zeroed with the arm at home.
 
     wrench_std (6,): of a sample, N and N.m; rho: correlation of a sample's noise with the one
     before. tracker_std (2,): m, rad. base, marker: rotation and place of base_link in `tracker`,
@@ -145,6 +188,7 @@ class Session:
     """
 
     seed: int
+    arm: Arm
     tool: Tool
     takes: dict[str, Take]
     wrench_std: Array
@@ -158,8 +202,8 @@ class Session:
     duration_s: float
 
 
-def draw_session(seed: int, bags: tuple[str, ...] = BAGS) -> Session:
-    """Draw the session of a seed."""
+def draw_session(seed: int, bags: tuple[str, ...] = BAGS, arm: Arm = GALEN) -> Session:
+    """Draw the session of a seed with an arm."""
     rng = np.random.default_rng([seed, 1])
     tool = TOOLS[rng.integers(len(TOOLS))]
     makers = {"sweep": _sweep, "motion": _motion, "push": _push}
@@ -167,7 +211,7 @@ def draw_session(seed: int, bags: tuple[str, ...] = BAGS) -> Session:
     start_s = 0.0
     for bag in BAGS:
         # Every bag is drawn, so that leaving one out changes no other.
-        take = makers[bag](rng, start_s, tool)
+        take = makers[bag](rng, start_s, tool, arm)
         pause_s = rng.uniform(8.0, 25.0)
         if bag in bags:
             takes[bag] = take
@@ -176,6 +220,7 @@ def draw_session(seed: int, bags: tuple[str, ...] = BAGS) -> Session:
     tracker_std = np.array([TRACKER_POSITION_NOISE_M, TRACKER_ROTATION_NOISE_RAD])
     return Session(
         seed=seed,
+        arm=arm,
         tool=tool,
         takes=takes,
         wrench_std=SENSOR.noise_std * rng.uniform(0.8, 1.2, 6),
@@ -230,20 +275,21 @@ def _stops(poses: Array, arrive_s: Array, leave_s: Array) -> BPoly:
     return BPoly.from_derivatives(knots, values)
 
 
-def _sweep(rng: np.random.Generator, start_s: float, tool: Tool) -> Take:
-    inner, outer = np.linspace(_LOW[0], _HIGH[0], 8), np.linspace(_LOW[1], _HIGH[1], 7)
-    rows = [[(a, b) for a in inner[:: (-1) ** k]] for k, b in enumerate(outer)]
-    angles = np.concatenate([np.array(row) for row in rows])
-    if rng.random() < 0.5:
-        rng.shuffle(angles)
-    angles = angles + rng.uniform(-0.06, 0.06, angles.shape)
-    place = _PLACE + rng.uniform(-0.04, 0.04, 3) * (rng.random() < 0.5)
-    poses = np.vstack([[*place, 0.0, 0.0], np.column_stack([np.tile(place, (56, 1)), angles])])
+def _sweep(rng: np.random.Generator, start_s: float, tool: Tool, arm: Arm) -> Take:
+    if arm.delta is None:
+        mean, reach, fastest = space(arm)
+        poses = mean + reach * (2.0 * evenly_spread(_POSES, len(reach)) - 1.0)
+        if rng.random() < 0.5:
+            rng.shuffle(poses)
+        poses = poses + rng.uniform(-0.06, 0.06, poses.shape)
+        poses, speed = np.vstack([mean, poses]), float(fastest[-1])
+    else:
+        poses, speed = _grid(rng, arm), 2.6
     a_pose_s = rng.uniform(1.2, 2.5)
     stay_s = a_pose_s * rng.uniform(0.55, 0.75)
-    farthest = np.max(np.abs(np.diff(angles, axis=0, prepend=0.0)), axis=1)
+    farthest = np.max(np.abs(np.diff(arm.angles(poses), axis=0)), axis=1)
     # A move of the fifth degree is fastest in its middle, at 15/8 of its mean speed.
-    move_s = np.maximum(a_pose_s - stay_s, 15.0 / 8.0 * farthest / 2.6)
+    move_s = np.maximum(a_pose_s - stay_s, 15.0 / 8.0 * farthest / speed)
     stay = stay_s * rng.uniform(0.95, 1.05, len(poses))
     arrive_s = np.concatenate([[0.0], np.cumsum(stay[:-1] + move_s)])
     leave_s = arrive_s + stay
@@ -252,39 +298,57 @@ def _sweep(rng: np.random.Generator, start_s: float, tool: Tool) -> Take:
     return Take("sweep", start_s, end_s, _stops(poses, arrive_s, leave_s), *clocks)
 
 
-def _motion(rng: np.random.Generator, start_s: float, tool: Tool) -> Take:
+def _grid(rng: np.random.Generator, arm: Arm) -> Array:
+    """Poses (57, 5) of the Galen, home's angles first: 7 tilts by 8 rolls at one place."""
+    inner, outer = np.linspace(_LOW[0], _HIGH[0], 8), np.linspace(_LOW[1], _HIGH[1], 7)
+    rows = [[(a, b) for a in inner[:: (-1) ** k]] for k, b in enumerate(outer)]
+    angles = np.concatenate([np.array(row) for row in rows])
+    if rng.random() < 0.5:
+        rng.shuffle(angles)
+    angles = angles + rng.uniform(-0.06, 0.06, angles.shape)
+    place = arm.home[:3] + rng.uniform(-0.04, 0.04, 3) * (rng.random() < 0.5)
+    return arm.with_angles(np.vstack([np.zeros(2), angles]), np.append(place, np.zeros(2)))
+
+
+def _motion(rng: np.random.Generator, start_s: float, tool: Tool, arm: Arm) -> Take:
     duration_s = float(rng.uniform(30.0, 60.0))
-    middle = np.array([*_PLACE, *(0.5 * (_LOW + _HIGH))])
-    fastest = _FASTEST * rng.uniform(0.5, 1.0, 5)
+    middle, reach, fastest = space(arm)
+    fastest = fastest * rng.uniform(0.5, 1.0, len(reach))
     knots = max(8, round(duration_s / rng.uniform(0.9, 1.8)))
     knot_s = np.linspace(0.0, duration_s, knots)
     knot_s[1:-1] += 0.2 * duration_s / knots * rng.uniform(-1.0, 1.0, knots - 2)
-    offset = _REACH * rng.uniform(-0.8, 0.8, (knots, 5))
+    offset = reach * rng.uniform(-0.8, 0.8, (knots, len(reach)))
     offset[[0, -1]] = 0.0
     course = CubicSpline(knot_s, offset, bc_type="clamped")
     fine = np.arange(0.0, duration_s, 0.05)
     # A spline swings past its knots.
     share = np.minimum(1.0, fastest / np.max(np.abs(course(fine, 1)), axis=0))
-    share = np.minimum(share, _REACH / np.max(np.abs(course(fine)), axis=0))
+    share = np.minimum(share, reach / np.max(np.abs(course(fine)), axis=0))
     course = CubicSpline(knot_s, middle + share * offset, bc_type="clamped")
     clocks = _clocks(rng, np.array([[0.0, duration_s]]), 100.0, 500.0)
     return Take("motion", start_s, duration_s, course, *clocks)
 
 
-def _push(rng: np.random.Generator, start_s: float, tool: Tool) -> Take:
-    corners = np.array([[0.4, 0.25], [-0.5, 0.3], [0.55, -0.35], [-0.35, -0.4]])
-    corners = corners + rng.uniform(-0.2, 0.2, (4, 2))
-    rng.shuffle(corners)
-    poses = np.column_stack([_PLACE + rng.uniform(-0.08, 0.08, (4, 3)), corners])
+def _push(rng: np.random.Generator, start_s: float, tool: Tool, arm: Arm) -> Take:
+    if arm.delta is None:
+        mean, reach, _ = space(arm)
+        poses = mean + 0.5 * reach * rng.uniform(-1.0, 1.0, (4, len(reach)))
+    else:
+        corners = np.array([[0.4, 0.25], [-0.5, 0.3], [0.55, -0.35], [-0.35, -0.4]])
+        corners = corners + rng.uniform(-0.2, 0.2, (4, 2))
+        rng.shuffle(corners)
+        poses = np.column_stack([arm.home[:3] + rng.uniform(-0.08, 0.08, (4, 3)), corners])
     if rng.random() < 0.5:
-        poses[0] = GALEN.home
+        poses[0] = arm.home
     rest_s = 3.0
     gap_s = float(rng.uniform(0.12, 0.3))
     stay_s = rest_s + _PUSHES * (0.45 + 0.6 + 0.45 + 1.2 * gap_s) + 0.5
     arrive_s = np.arange(4.0) * (stay_s + _MOVE_BETWEEN_PUSHES_S)
     pushes = _draw_pushes(rng, arrive_s + rest_s, tool.tip_m, gap_s)
     ends = np.asarray(pushes.end_s.reshape(4, -1)[:, -1] + 0.4)
-    recorded = np.column_stack([arrive_s, ends])
+    # What doesn't give under a push shows a tracker's delay on the last of the way there.
+    begin_s = arrive_s - (0.5 if not arm.stiffness else 0.0) * (arrive_s > 0.0)
+    recorded = np.column_stack([begin_s, ends])
     clocks = _clocks(rng, recorded, 80.0, 250.0)
     tracker = _clock(rng, float(rng.uniform(60.0, 150.0)), recorded, rng.uniform(0.0, 5e-3))
     course = _stops(poses, arrive_s, arrive_s + stay_s)

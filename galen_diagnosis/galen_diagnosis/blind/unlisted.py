@@ -10,11 +10,11 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 
-from galen_diagnosis.blind.causes import SIGMA, TURNING, Cause, Draw, Moment, sign
-from galen_diagnosis.blind.mujoco_arm import InnerMass, Plant
+from galen_diagnosis.blind.causes import SIGMA, Cause, Draw, Moment, sign, smooth
+from galen_diagnosis.blind.mujoco_arm import InnerMass, Plant, Pull, Wobble
+from galen_diagnosis.blind.session import any_direction
 
 if TYPE_CHECKING:
     from galen_diagnosis.blind.measuring import Measurement
@@ -24,11 +24,16 @@ def _unlisted(name: str, size: float, largest: float, **hooks: Any) -> Cause:
     return Cause(name, size, largest, lambda size, _: {"size": size}, **hooks)
 
 
-def _eccentricity(rng: np.random.Generator, _: Measurement) -> Cause:
-    """Put an encoder off its axis: q + size (sin(q + phase) - sin(phase))."""
-    k, phase = GALEN.turning[0], rng.uniform(1.0, 2.1)
+def _turning(healthy: Measurement, rng: np.random.Generator) -> str:
+    """Draw one of the last three joints, which turn the sensor against gravity."""
+    return str(rng.choice(healthy.session.arm.turning_names[-3:]))
 
-    def joints(size: float, reported: Array) -> Array:
+
+def _eccentricity(rng: np.random.Generator, healthy: Measurement) -> Cause:
+    """Put an encoder off its axis: q + size (sin(q + phase) - sin(phase))."""
+    k, phase = healthy.session.arm.turning[-2], rng.uniform(1.0, 2.1)
+
+    def joints(size: float, reported: Array, _: Array) -> Array:
         true = np.array(reported)
         true[:, k] += size * (np.sin(true[:, k] + phase) - np.sin(phase))
         return true
@@ -59,15 +64,6 @@ def _warm_gain(rng: np.random.Generator, _: Measurement) -> Cause:
         sense=lambda size, at, total: total * (
             1.0 + size * (1.0 - np.exp(-np.maximum(at.session_s, 0.0) / tau_s))
         )[:, None],
-    )  # fmt: skip
-
-
-def _friction(rng: np.random.Generator, _: Measurement) -> Cause:
-    """Dry friction (N.m) in a joint, behind its spring: the link lags behind the drive."""
-    joint = str(rng.choice(TURNING))
-    return _unlisted(
-        "joint_friction", 1.0, 100.0,
-        plant=lambda size, plant: replace(plant, friction={joint: size}),
     )  # fmt: skip
 
 
@@ -137,14 +133,94 @@ def _sensor_hysteresis(rng: np.random.Generator, _: Measurement) -> Cause:
     return _unlisted("sensor_hysteresis", 0.1, 3.0, sense=sense)
 
 
+def _leaning(rng: np.random.Generator, healthy: Measurement) -> Cause:
+    """Touch something elastic (N/m) in the outermost fifth of the poses, without being pushed."""
+    arm, at_m = healthy.session.arm, 0.6 * healthy.session.tool.tip_m
+    course = [take.course(take.wrench.taken_s) for take in healthy.session.takes.values()]
+    rotation, origin = arm.sensor_pose(np.concatenate(course)[::20])
+    way = any_direction(rng)
+    reach = np.quantile((origin + rotation @ at_m) @ way, 0.8)
+
+    def force(at: Array, size: float) -> Array:
+        return -np.outer(size * np.maximum(at @ way - reach, 0.0), way)
+
+    return _unlisted(
+        "leaning_tool", 10.0, 1e4,
+        plant=lambda size, plant: replace(plant, pull=Pull(at_m, lambda at: force(at, size))),
+    )  # fmt: skip
+
+
+def _slipped_marker(rng: np.random.Generator, healthy: Measurement) -> Cause:
+    """Let the tool's marker slip on the tool, once, by size (m) and three of its rad a metre."""
+    way = np.concatenate([any_direction(rng), 3.0 * any_direction(rng)])
+    take = healthy.session.takes.get("push")
+    time_s = float((100.0 if take is None else take.end_s) * rng.uniform(0.12, 0.88))
+    return _unlisted(
+        "slipped_marker", 1e-4, 0.02,
+        slip=lambda size, at: size * np.outer(smooth((at.bag_s - time_s) / 0.05), way),
+    )  # fmt: skip
+
+
+def _wobble(rng: np.random.Generator, healthy: Measurement) -> Cause:
+    """Let a worn bearing tilt its axis twice a turn."""
+    joint, phase = _turning(healthy, rng), rng.uniform(0.0, 2.0 * np.pi)
+    return _unlisted(
+        "wobbling_bearing", 0.004, 0.1,
+        plant=lambda size, plant: replace(plant, wobble=Wobble(joint, size, phase)),
+    )  # fmt: skip
+
+
+def _temperature(rng: np.random.Generator, healthy: Measurement) -> Cause:
+    """Let one temperature move the zero, and by size the gains with it: up and down again."""
+    period_s = healthy.session.duration_s * rng.uniform(0.4, 1.2)
+    phase, way = rng.uniform(0.0, 2.0 * np.pi), any_direction(rng, 6)
+
+    def warm(at: Moment) -> Array:
+        return np.sin(2.0 * np.pi * at.session_s / period_s + phase)[:, None]
+
+    return _unlisted(
+        "warm_sensor", 0.02, 0.5,
+        sense=lambda size, at, total: total * (1.0 + size * warm(at)) + (
+            100.0 * size * warm(at) * SIGMA * way
+        ),
+    )  # fmt: skip
+
+
+def _uneven_tracker(rng: np.random.Generator, _: Measurement) -> Cause:
+    """Let the tracker's latency swing with its queue, from none to twice the size."""
+    period_s = rng.uniform(0.3, 6.0)
+    return _unlisted(
+        "uneven_tracker", 0.01, 0.2,
+        late=("tracker", lambda size, at_s: size * (1.0 - np.cos(2.0 * np.pi * at_s / period_s))),
+    )  # fmt: skip
+
+
+def _slipping_zero(rng: np.random.Generator, healthy: Measurement) -> Cause:
+    """Let an encoder slip on its shaft, by size (rad) over the whole recording."""
+    arm, rate = healthy.session.arm, sign(rng) / healthy.session.duration_s
+    k = arm.joint_names.index(_turning(healthy, rng))
+
+    def joints(size: float, reported: Array, session_s: Array) -> Array:
+        true = np.array(reported)
+        true[:, k] += size * rate * session_s
+        return true
+
+    return _unlisted("slipping_zero", 0.01, 0.3, joints=joints)
+
+
 _CALIBRATION: Mapping[str, Draw] = {
     "encoder_eccentricity": _eccentricity, "quadratic_sensor": _bent_sensor, "weight_sag": _sag,
     "thermal_gain": _warm_gain,
 }  # fmt: skip
 _TEST: Mapping[str, Draw] = {
-    "joint_friction": _friction, "rattling_mass": _rattle, "sloshing_mass": _slosh,
+    "rattling_mass": _rattle, "sloshing_mass": _slosh,
     "creep": _creep, "tracker_distance": _far_tracker, "sensor_hysteresis": _sensor_hysteresis,
+    "leaning_tool": _leaning, "slipped_marker": _slipped_marker, "wobbling_bearing": _wobble,
+    "warm_sensor": _temperature, "uneven_tracker": _uneven_tracker,
+    "slipping_zero": _slipping_zero,
 }  # fmt: skip
 
 UNLISTED: Mapping[str, Draw] = {**_CALIBRATION, **_TEST}
 CALIBRATION_UNKNOWN, TEST_UNKNOWN = tuple(_CALIBRATION), tuple(_TEST)
+NEED_SPRINGS = ("weight_sag",)
+"""A rigid joint doesn't show it."""

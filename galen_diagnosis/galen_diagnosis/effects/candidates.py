@@ -16,16 +16,18 @@ from dataclasses import dataclass, field, replace
 from itertools import permutations, product
 
 import numpy as np
-from galen_model.arm.galen import WRENCH_AXES
+from galen_model.arm.arm import Arm
+from galen_model.arm.galen import GALEN, WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.evidence.linear import Background
 from galen_sim_driver.effects.effect import Effect
 from galen_sim_driver.effects.hysteresis import DeflectionHysteresis
-from galen_sim_driver.effects.joints import Backlash, JointCompliance
+from galen_sim_driver.effects.joints import CROSSINGS, Backlash, JointAxisMisalignment
 from galen_sim_driver.effects.load import CableDrag
-from galen_sim_driver.effects.registry import IDENTITIES
+from galen_sim_driver.effects.registry import identities
 from galen_sim_driver.effects.sensor import Crosstalk
 
+from galen_diagnosis.effects.general_shapes import ForceField, FrictionInJoints
 from galen_diagnosis.observation.observation import UNKNOWNS, Observation, Unknowns
 from galen_diagnosis.observation.rows import CHANNELS, TIP_AXES
 
@@ -46,17 +48,28 @@ NEEDS_MOTION = frozenset({"wrench_delay", "inertial_load"})
 _SCANNED = frozenset({"crosstalk", "sensor_drift", "bias_step", "base_shift", "sensor_saturation"})
 """Effects whose forms are made by `scans.py`."""
 
-_NOT_SOUGHT = frozenset({"joint_gain:roll", "joint_axis_misalignment:roll"})
+_NOT_ON_THE_GALEN = frozenset({"joint_gain:roll", "joint_axis_misalignment:roll"})
 """Effects at joints where the calibration of the probabilities has none of them."""
 
 _CABLE_REACH_M = 0.7
-_CABLE_WAYS = (1.0, float(np.sqrt(3.0)))
-"""Held towards the faces and corners of a cube about the tool."""
+"""How far from the tool a cable's other end is taken to be where its fit begins."""
 _ALL = "all"
+_FRICTIONS = {"tip": "Bouc and Wen, at the tip", "joints": "Dahl, in the joints"}
+_CROSSED = {"stiction": "gap with stiction", "centred": "gap", "soft": "soft gap"}
+_WIDTHS = {"stiction": 2.0, "centred": 0.5}
+_ALONG = 0.9
+"""Cosine between two axes from which on they are taken for one."""
 
 
-SOUGHT = {name: effect for name, effect in IDENTITIES.items() if name not in _NOT_SOUGHT}
-"""What is looked for, by identity: effects that change nothing yet."""
+def sought(arm: Arm) -> dict[str, Effect]:
+    """Return what is looked for on an arm, by identity: effects that change nothing yet."""
+    left_out = _NOT_ON_THE_GALEN if _is_galen(arm) else frozenset()
+    return {name: effect for name, effect in identities(arm).items() if name not in left_out}
+
+
+def _is_galen(arm: Arm) -> bool:
+    return arm.joint_names == GALEN.joint_names
+
 
 EffectsAt = Callable[[Array], Sequence[Effect]]
 
@@ -70,8 +83,11 @@ class Candidate:
     typical (p,): prior standard deviations about it. probe (p,): steps of finite differences.
     columns (N, p): how the prediction changes, where that is known and linear. make: the effect
     with other numbers, where that isn't a matter of `vector`. inputs: the numbers are unknown loads
-    beside the effect, which no simulator knows. known: parameters whose interval isn't the fit's.
-    bonus: log evidence for the form that isn't in the rows.
+    beside the effect, which no simulator knows. linear: how many of the numbers, the first ones, do
+    anything at the start, None for all. known: parameters whose interval isn't the fit's.
+    bonus: log evidence for the form that isn't in the rows. model: which of the effect's, in words,
+    where it has several. into: the candidate that a fit takes in
+    its place, and where it begins, of the linear answer (p,).
     """
 
     effect: str
@@ -84,8 +100,11 @@ class Candidate:
     columns: Array | None = None
     make: Callable[[Array], Effect] | None = None
     inputs: bool = False
+    linear: int | None = None
     known: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     bonus: float = 0.0
+    model: str = ""
+    into: Callable[[Array], tuple[Candidate, Array]] | None = None
 
     @property
     def key(self) -> tuple[str, str]:
@@ -140,14 +159,14 @@ def candidates(observation: Observation) -> list[Candidate]:
     tracker = any(view.tracks for view in observation.views.values())
     moves = bool(np.any(np.abs(observation.rows.rate) > 0.05))
     found = []
-    for name, effect in SOUGHT.items():
+    for name, effect in sought(observation.recording.arm).items():
         if name in _SCANNED or (name in NEEDS_TRACKER and not tracker):
             continue
         if name in NEEDS_MOTION and not moves:
             continue
-        special = _FORMS.get(name)
+        special = _FORMS.get(effect.name)
         if special is not None:
-            found += list(special(observation))
+            found += list(special(observation, effect))
         else:
             found.append(_plain(name, "", effect, np.arange(len(effect.vector()))))
     return found
@@ -175,18 +194,32 @@ def _plain(name: str, label: str, effect: Effect, free: np.ndarray) -> Candidate
     return Candidate(name, label, effect, free, start, typical, 0.05 * typical)
 
 
-def _compliances(_: Observation) -> Iterator[Candidate]:
-    for index, spring in enumerate(JointCompliance.fitted):
+def _compliances(_: Observation, effect: Effect) -> Iterator[Candidate]:
+    for index, spring in enumerate(effect.fitted):
         name = spring.name.removeprefix("softness_")
-        one = _plain("joint_compliance", name, JointCompliance(), np.array([index]))
+        one = _plain("joint_compliance", name, effect, np.array([index]))
         # Of exactly 0 the effect keeps the spring nominal, and a fit can't leave it.
         yield replace(one, probe=np.array([0.05]))
-    count = len(JointCompliance.fitted)
-    every = _plain("joint_compliance", _ALL, JointCompliance(), np.arange(count))
+    count = len(effect.fitted)
+    every = _plain("joint_compliance", _ALL, effect, np.arange(count))
     yield replace(every, probe=np.full(count, 0.05))
 
 
-def _hysteresis(_: Observation) -> Iterator[Candidate]:
+def _misalignments(observation: Observation, effect: Effect) -> Iterator[Candidate]:
+    """Yield a turn about each axis of the parent link; about the joint's own it is no turn."""
+    assert isinstance(effect, JointAxisMisalignment)
+    arm = observation.recording.arm
+    if _is_galen(arm):  # its tilt axis turned about x is the roll's zero
+        yield _plain(effect.identity, "", effect, np.arange(1))
+        return
+    joint = arm.joints[effect.index]
+    axis = joint.axis if joint.rotation is None else joint.rotation @ joint.axis
+    for about, along in zip("xyz", np.abs(axis), strict=True):
+        if along < _ALONG:
+            yield _plain(effect.identity, about, replace(effect, about=about), np.arange(1))
+
+
+def _hysteresis(observation: Observation, _: Effect) -> Iterator[Candidate]:
     for form, knee, restarts in (
         ("tip", 0.08, True),
         ("tip", 0.3, True),
@@ -200,40 +233,87 @@ def _hysteresis(_: Observation) -> Iterator[Candidate]:
         one = _plain("deflection_hysteresis", f"{form} {knee:g}{kept}", effect, free)
         probe = np.array([0.02, 0.05 * knee, 0.02])[free]
         typical = np.array([0.1, 0.5 * knee, 0.05])[free]
-        yield replace(one, probe=probe, typical=typical)
+        yield replace(one, probe=probe, typical=typical, model=_FRICTIONS[form])
+    recording = observation.recording
+    none = FrictionInJoints.of(recording.arm, np.asarray(recording.tool.tip_m))
+    if none.plays:
+        yield _friction(observation, none)
 
 
-def _backlashes(observation: Observation) -> Iterator[Candidate]:
-    for joint in observation.recording.arm.turning_names:
-        # With no gap the other numbers do nothing: they come in with the fit on the simulator.
-        one = _plain("backlash", joint, Backlash(joint=joint, seat=2.0), np.arange(3))
-        yield replace(one, probe=np.array([1e-3, 0.05, 0.1]))
+def _friction(observation: Observation, none: FrictionInJoints) -> Candidate:
+    """Return dry friction in each joint; which joints, and where fits begin, is linear."""
+    count = len(none.weights)
+    one = Candidate(
+        *("deflection_hysteresis", "in joints", none, np.arange(count), np.zeros(count)),
+        *(np.full(count, 0.3), np.ones(count)),
+        make=lambda values: replace(none, weights=_floats(values)),
+    )
+    unit = [observation.change([one.at(row)]) for row in np.eye(count)]
+
+    def joined(values: Array) -> tuple[Candidate, Array]:
+        begin = replace(none, weights=_floats(values)).joined()
+        count = len(begin.weights)
+        start = np.concatenate([np.zeros(count), np.log(begin.thresholds)])
+        fitted = Candidate(
+            *("deflection_hysteresis", "in joints", begin, np.arange(2 * count), start),
+            typical=np.repeat([0.3, 0.5], count),
+            probe=np.repeat([0.1, 0.05], count),
+            model="dry friction in each joint",
+            make=lambda own: begin.of_numbers(own[:count], np.exp(np.clip(own[count:], -9.0, 9.0))),
+        )
+        return fitted, np.concatenate([begin.weights, start[count:]])
+
+    return replace(one, columns=np.stack(unit, axis=1), into=joined)
 
 
-def _cables(observation: Observation) -> Iterator[Candidate]:
-    effect = CableDrag()
+def _backlashes(observation: Observation, effect: Effect) -> Iterator[Candidate]:
+    assert isinstance(effect, Backlash)
+    # With no gap the other numbers do nothing: they come in with the fit on the simulator.
+    for joint, crossing in product(observation.recording.arm.turning_names, CROSSINGS):
+        seat, width = (4.0, effect.width) if crossing == "soft" else (2.0, _WIDTHS[crossing])
+        start = effect.start if crossing == "stiction" else 0.0
+        base = replace(effect, joint=joint, seat=seat, width=width, start=start, crossing=crossing)
+        count = 3 if crossing == "soft" else 4
+        one = _plain("backlash", f"{joint} {crossing}", base, np.arange(count))
+        probe = np.array([1e-3, 0.05, 0.1, 0.02])[:count]
+        yield replace(one, probe=probe, linear=1, model=_CROSSED[crossing])
+
+
+def _cables(observation: Observation, effect: Effect) -> Iterator[Candidate]:
+    """Yield fields of forces, as of a hose or a hanging cable, and a taut cable.
+
+    How likely a taut cable is linearly, and where its fit begins, follow from the field.
+    """
+    assert isinstance(effect, CableDrag)
     rotation, origin = observation.sensor_poses(2000)
     at = np.mean(origin + rotation @ np.asarray(effect.attachment_m), axis=0)
-    for direction in product((-1.0, 0.0, 1.0), repeat=3):
-        length = float(np.linalg.norm(direction))
-        if length not in _CABLE_WAYS:
-            continue
-        anchor = at + _CABLE_REACH_M * np.array(direction) / length
-        here = replace(
-            effect,
-            tension_n=0.0,
-            anchor_m=tuple(float(x) for x in anchor),
-            reference_m=tuple(float(x) for x in at),
-        )
-        free = np.arange(9)
-        label = " ".join(f"{x:+.0f}" for x in direction)
-        one = _plain("cable_drag", label, here, free)
+    none = ForceField(attachment_m=effect.attachment_m, at_m=_floats(at))
+    field_ = _plain("cable_drag", "field", none, np.array([*range(9), *range(19, 22)]))
+    curved = _plain("cable_drag", "curved field", none, np.arange(22))
+    yield replace(field_, linear=9, model="elastic force, linear in the tool's place")
+    yield replace(curved, linear=19, model="elastic force, quadratic in the tool's place")
+
+    def cable(values: Array) -> tuple[Candidate, Array]:
+        pull = values[:3]
+        tension = float(np.linalg.norm(pull))
+        anchor = at + _CABLE_REACH_M * pull / max(tension, 1e-9)
+        here = replace(effect, tension_n=0.0, anchor_m=_floats(anchor), reference_m=_floats(at))
+        fitted = _plain("cable_drag", "taut", here, np.arange(9))
         probe = np.array([0.05, *[0.02] * 3, *[0.005] * 3, 0.1, 1e-3])
         typical = np.array([0.3, *[0.4] * 3, *[0.06] * 3, 2.0, 0.01])
-        yield replace(one, probe=probe, typical=typical)
+        begin = fitted.start.copy()
+        begin[0] = tension
+        return replace(fitted, probe=probe, typical=typical, model="taut cable"), begin
+
+    yield replace(field_, label="taut", linear=9, into=cable)
+
+
+def _floats(vector: Array) -> tuple[float, ...]:
+    return tuple(float(value) for value in vector)
 
 
 _FORMS = {
+    "joint_axis_misalignment": _misalignments,
     "joint_compliance": _compliances,
     "deflection_hysteresis": _hysteresis,
     "backlash": _backlashes,

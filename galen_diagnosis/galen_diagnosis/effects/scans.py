@@ -30,14 +30,17 @@ from galen_sim_driver.effects.sensor import BaseShift, BiasStep, SensorDrift, Se
 from galen_sim_driver.replay import Replay
 
 from galen_diagnosis.effects.candidates import Candidate, crosstalk_candidate, crosstalks
+from galen_diagnosis.effects.general_shapes import SoftSaturation
 from galen_diagnosis.observation.observation import Observation
 from galen_diagnosis.observation.rows import BAGS
 
 _HOUR_S = 3600.0
-_KNOT_S = 15.0
+_KNOT_S = 20.0
 _MOST_PIECES = 80
 """Of a drift: bags may lie hours apart, and six columns a piece fill the memory."""
 _BUMP = np.array([0.007] * 3 + [2e-4] * 3)
+_BENDS, _BEND = 2, 3.0
+"""Of a smooth drift: half waves over the recording, and their usual size over that of a bump."""
 _RATE = np.array([1.0] * 3 + [0.02] * 3)
 _STEP = np.array([0.1] * 3 + [3e-3] * 3)
 _SHIFT = np.array([1e-3] * 3 + [3e-3] * 3)
@@ -71,35 +74,33 @@ def _readings_at_rows(observation: Observation) -> Array:
 
 
 def drift_candidates(observation: Observation, zero: Array) -> list[Candidate]:
-    """Return a steady drift, and one of any shape."""
+    """Return a steady drift, a smooth one, and one of any shape."""
     at_s = observation.rows.session_s
     length = float(at_s.max())
     if length < 2.0 * _KNOT_S:
         return []
-    steady = zero * (at_s / _HOUR_S)[:, None]
-    pieces = min(max(round(length / _KNOT_S), 2), _MOST_PIECES)
-    knots = np.linspace(0.0, length, pieces + 1)
-    bumps = []
-    for k in range(1, pieces):
-        height = np.interp(at_s, knots[k - 1 : k + 2], [0.0, 1.0, 0.0])
-        bumps.append(zero * height[:, None])
+    knots = np.linspace(0.0, length, min(max(round(length / _KNOT_S), 2), _MOST_PIECES) + 1)
+    line = knots[:, None] / _HOUR_S
+    bent = np.sin(np.pi * knots[:, None] / length * np.arange(1, _BENDS + 1))
+    hats = np.eye(len(knots))[:, 1:-1]
     found = []
-    for label, columns, times in (
-        ("steady", steady, np.array([0.0, length])),
-        ("any shape", np.concatenate([steady, *bumps], axis=1), knots),
+    for label, times, shapes, size in (
+        ("steady", knots[[0, -1]], line[[0, -1]], _BUMP),
+        ("smooth", knots, np.hstack([line, bent]), _BEND * _BUMP),
+        ("any shape", knots, np.hstack([line, hats]), _BUMP),
     ):
-        size = np.concatenate([_RATE, np.tile(_BUMP, len(times) - 2)])
-        one = _linear("sensor_drift", label, SensorDrift(), columns, size)
-        found.append(replace(one, make=partial(_drift, times)))
+        courses = [np.interp(at_s, times, shape) for shape in shapes.T]
+        columns = np.concatenate([zero * course[:, None] for course in courses], axis=1)
+        typical = np.concatenate([_RATE, np.tile(size, len(courses) - 1)])
+        one = _linear("sensor_drift", label, SensorDrift(), columns, typical)
+        make = partial(_drift, times, shapes)
+        found.append(replace(one, make=make, model=f"drift, {label}"))
     return found
 
 
-def _drift(knots_s: Array, values: Array) -> Effect:
-    """Return a drift by rates (6,) and bumps (k, 6) at knots between first and last."""
-    line = np.outer(knots_s - knots_s[0], values[:6] / _HOUR_S)
-    if len(values) > 6:
-        line[1:-1] += values[6:].reshape(-1, 6)
-    return SensorDrift.through(knots_s, line)
+def _drift(knots_s: Array, shapes: Array, values: Array) -> Effect:
+    """Return a drift of shapes (k, m) at knots (k,), by their sizes (6 m,) in the axes."""
+    return SensorDrift.through(knots_s, shapes @ values.reshape(-1, 6))
 
 
 def _linear(name: str, label: str, base: Effect, columns: Array, typical: Array) -> Candidate:
@@ -168,22 +169,23 @@ def _scan(
     after = _session_times(observation, times)
     bins = np.searchsorted(after, observation.rows.session_s, side="right")
     count = len(after) + 1
-    order = np.argsort(bins, kind="stable")
-    edges = np.searchsorted(bins[order], np.arange(count + 1))
+    acts = np.flatnonzero(np.any(columns != 0.0, axis=1))
+    acts = acts[np.argsort(bins[acts], kind="stable")]
+    edges = np.searchsorted(bins[acts], np.arange(count + 1))
     width = columns.shape[1]
     grams = np.zeros((count, width, width))
-    cross = np.zeros((count, behind.columns.shape[1], width))
+    cross = np.zeros((count, len(behind.prior_std), width))
     along = np.zeros((count, width))
+    own, others, towards_own = columns[acts], behind.columns[acts], rows[acts]
     for number in range(count):
-        here = order[edges[number] : edges[number + 1]]
-        if len(here):
-            part = columns[here]
-            grams[number] = part.T @ part
-            cross[number] = behind.columns[here].T @ part
-            along[number] = part.T @ rows[here]
+        here = slice(edges[number], edges[number + 1])
+        part = own[here]
+        grams[number] = part.T @ part
+        cross[number] = others[here].T @ part
+        along[number] = part.T @ towards_own[here]
     # From bins to all rows from a time on.
     grams, cross, along = (np.cumsum(a[::-1], axis=0)[::-1][1:] for a in (grams, cross, along))
-    nuisance = behind.columns.T @ rows
+    nuisance = behind.dot(rows)
     count = len(times)
     back = behind.solve(cross.transpose(1, 0, 2).reshape(cross.shape[1], -1))
     back = back.reshape(cross.shape[1], count, width).transpose(1, 0, 2)
@@ -238,6 +240,7 @@ _NEAR_SIGMAS = 2.5
 _LEAST_RUN_S = 0.08
 _BEYOND = (2.0, 2.0, 2.0, 0.1, 0.1, 0.1)
 _WORTH_EACH, _WORTH_MOST = 0.5, 40.0
+_POWER, _FAR, _SHORT = 20.0, 1.5, np.array([0.02])
 
 
 def saturation_candidates(observation: Observation, zero: Array) -> list[Candidate]:
@@ -256,7 +259,36 @@ def saturation_candidates(observation: Observation, zero: Array) -> list[Candida
             # Where readings pile up is known to the noise of one of them.
             known = {"limit": (limit - noise, limit + noise)}
             make = partial(_same, effect)
-            found.append(replace(one, make=make, inputs=True, known=known, bonus=bonus))
+            one = replace(one, make=make, inputs=True, known=known, bonus=bonus)
+            found.append(replace(one, model="hard limit"))
+    return found
+
+
+def bent_candidates(observation: Observation, zero: Array) -> list[Candidate]:
+    """Return limits that axes bend towards, softly; zero (N, 6): columns of the sensor's zero.
+
+    Far below its limit L a reading falls short by x |x / L|^p / p.
+    """
+    true = _readings_at_rows(observation)
+    found = []
+    for axis, name in enumerate(WRENCH_AXES):
+        largest = float(np.max(np.abs(true[:, axis])))
+        short = -true[:, axis] * (np.abs(true[:, axis]) / largest) ** _POWER
+        none = SoftSaturation(float(np.log(_FAR * largest)), float(np.log(_POWER)), name)
+        fitted = Candidate(
+            *("sensor_saturation", f"{name} softly", none, np.arange(2), none.vector()),
+            *(np.array([0.3, 0.4]), np.array([0.01, 0.05])),
+            model="soft limit",
+        )
+
+        def begun(values: Array, fitted: Candidate = fitted) -> tuple[Candidate, Array]:
+            share = min(max(_POWER * float(values[0]), 1e-3), 1e3)
+            return fitted, fitted.start - np.array([np.log(_FAR) + np.log(share) / _POWER, 0.0])
+
+        one = _linear(
+            "sensor_saturation", f"{name} softly", none, zero[:, [axis]] * short[:, None], _SHORT
+        )
+        found.append(replace(one, into=begun))
     return found
 
 

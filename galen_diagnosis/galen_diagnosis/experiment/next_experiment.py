@@ -5,6 +5,9 @@ hypothesis and judged by `separation.py`; the one with the least trouble is take
 the answer as sure as the best does, but for a hundredth. Its poses or places are chosen for the
 hypotheses; what some effects do in it differs from what they did in the recording (a tool that is
 off has no mass error), and that is what most of them are for.
+
+The Galen's poses and places are on a grid. Of another arm, whose surroundings are not known, they
+are among those where the recording shows it standing.
 """
 
 from __future__ import annotations
@@ -19,6 +22,7 @@ from typing import Any, Literal
 
 import numpy as np
 import yaml
+from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.errors import GalenError, NotExcitedError
@@ -50,7 +54,7 @@ _SWEEP = SweepRange(home=GALEN.home, lower=(-1.5, -1.0), upper=(1.5, 0.9))
 _SPEEDS = (0.3, 1.0)
 _MOTION_S = 20.0
 _LEVELS_N = (3.0, 8.0)
-_PLACES = 3
+_PLACES, _MOST_PLACES = 3, 15
 # The platform moves, too: where it stands still, a turn about roll's axis is one of the tracker.
 _PLATFORM_M = ((0.0, 0.0, 0.408), (0.07, -0.06, 0.45), (-0.07, 0.06, 0.36))
 _ANGLES_RAD = ((0.0, 0.0), (0.9, -0.6), (-0.9, -0.6), (0.9, 0.6), (-0.9, 0.6))
@@ -100,10 +104,13 @@ class Experiment:
         }
 
 
-def propose(alternatives: Sequence[Alternative], tool: CalibrationFile) -> Experiment | None:
+def propose(
+    alternatives: Sequence[Alternative], tool: CalibrationFile, stood: Array | None = None
+) -> Experiment | None:
     """Return the next experiment for two or more hypotheses; None where none would help.
 
-    Of more than four the likeliest four count.
+    Of more than four the likeliest four count. stood (n, joints): where the recording shows the arm
+    standing, m and rad; the Galen needs none.
     """
     known = sorted(alternatives, key=lambda one: -one.probability)[:_MOST_ALTERNATIVES]
     known = [one for one in known if one.probability > 0.0]
@@ -112,7 +119,7 @@ def propose(alternatives: Sequence[Alternative], tool: CalibrationFile) -> Exper
     left = [one.in_another_session() for one in known]
     probability = np.array([one.probability for one in left])
     before = float(np.sum((probability / probability.sum()) ** 2))
-    judged = [(one, *separate(one.trials, left, tool)) for one in proposals(left, tool)]
+    judged = [(one, *separate(one.trials, left, tool)) for one in proposals(left, tool, stood)]
     best = max(expected for _, _, expected in judged)
     if best < before + _WORTH * (1.0 - before):
         return None
@@ -137,15 +144,52 @@ def propose(alternatives: Sequence[Alternative], tool: CalibrationFile) -> Exper
 # The list
 
 
-def proposals(alternatives: Sequence[Alternative], tool: CalibrationFile) -> Iterator[Proposal]:
-    """Yield experiments, from the least trouble to the most."""
-    poses = _chosen_poses(alternatives, tool, tracker=False)
-    count, joints = len(poses), GALEN.with_angles(poses)
+@dataclass(frozen=True)
+class _Range:
+    """Where the arm may go: angles (m, k), rad, about joints `home`, and places (p, joints)."""
+
+    tool: CalibrationFile
+    home: Array
+    candidates: Array
+    places: Array
+
+    @classmethod
+    def of(cls, tool: CalibrationFile, stood: Array | None) -> _Range:
+        if tool.arm.joint_names == GALEN.joint_names:
+            places = np.array([[*at, *angles] for at, angles in product(_PLATFORM_M, _ANGLES_RAD)])
+            return cls(tool, GALEN.home, _SWEEP.candidates(), places)
+        assert stood is not None
+        candidates = np.unique(tool.arm.angles(stood).round(3), axis=0)
+        return cls(tool, stood[0], candidates, stood[:: -(-len(stood) // _MOST_PLACES)])
+
+    def joints(self, poses: Array) -> Array:
+        """Joints (n, joints) at angles (n, k)."""
+        return self.tool.arm.with_angles(poses, self.home)
+
+    @property
+    def times(self) -> SweepTimes:
+        arm, motion = self.tool.arm, MotionParameters(arm=self.tool.arm)
+        velocity, acceleration = map(arm.angles, (motion.max_velocity, motion.max_acceleration))
+        return SweepTimes(arm.angles(self.home), velocity, acceleration, _SETTLE_S + _AVERAGE_S)
+
+    def still(self, poses: Array, **options: Any) -> Trial:
+        """Return the trial of a sweep of angles (n, k), in this order."""
+        at_s = self.times.at_s(poses)
+        return still_trial(poses, at_s, _AVERAGE_S, self.tool, at=self.home, **options)
+
+
+def proposals(
+    alternatives: Sequence[Alternative], tool: CalibrationFile, stood: Array | None = None
+) -> Iterator[Proposal]:
+    """Yield experiments, from the least trouble to the most; `stood` as `propose` has it."""
+    where = _Range.of(tool, stood)
+    poses = _chosen_poses(alternatives, where, tracker=False)
+    count, joints = len(poses), where.joints(poses)
     yield Proposal(
         "still poses",
         f"sweep these {count} still poses, {_AVERAGE_S:g} s each, without touching the tool",
         joints,
-        (_still(poses, tool),),
+        (where.still(poses),),
     )
     both = np.concatenate([poses, poses[::-1]])
     yield Proposal(
@@ -153,25 +197,25 @@ def proposals(alternatives: Sequence[Alternative], tool: CalibrationFile) -> Ite
         f"sweep these {count} still poses and then the same in reversed order, without zeroing the"
         " sensor between: what belongs to the pose comes back, what belongs to the time or the way"
         " doesn't",
-        GALEN.with_angles(both),
-        (_still(both, tool),),
+        where.joints(both),
+        (where.still(both),),
     )
-    seen = _chosen_poses(alternatives, tool, tracker=True)
+    seen = _chosen_poses(alternatives, where, tracker=True)
     yield Proposal(
         "tracker at rest",
         f"sweep these {len(seen)} still poses with the tracker on and record both markers: the"
         " tip's place separates joints and frames from the sensor",
-        GALEN.with_angles(seen),
-        (_still(seen, tool, tracker=True),),
+        where.joints(seen),
+        (where.still(seen, tracker=True),),
     )
     if tool.load.mass_kg > 0.0:
-        bare = _still(poses, tool, absent=_OF_THE_TOOL, tool_on=False)
+        bare = where.still(poses, absent=_OF_THE_TOOL, tool_on=False)
         yield Proposal(
             "second mass",
             f"sweep these {count} still poses twice, with the adapter alone and with the tool on,"
             " as a calibration does: with two known masses a gain is not a mass",
             joints,
-            (bare, _still(poses, tool)),
+            (bare, where.still(poses)),
         )
     slow = _SPEEDS[0]
     yield Proposal(
@@ -180,57 +224,45 @@ def proposals(alternatives: Sequence[Alternative], tool: CalibrationFile) -> Ite
         f" {_MOTION_S:g} s at the full, without touching the tool: friction stays, a delay grows"
         " with the speed, inertia with its square",
         joints[:0],
-        tuple(motion_trial(speed, _MOTION_S, tool) for speed in _SPEEDS),
+        tuple(motion_trial(speed, _MOTION_S, tool, where.home) for speed in _SPEEDS),
         "none",
     )
-    yield _pushes(alternatives, tool)
+    yield _pushes(alternatives, tool, where.places)
 
 
-def _pushes(alternatives: Sequence[Alternative], tool: CalibrationFile) -> Proposal:
-    places = np.array([[*at, *angles] for at, angles in product(_PLATFORM_M, _ANGLES_RAD)])
+def _pushes(alternatives: Sequence[Alternative], tool: CalibrationFile, places: Array) -> Proposal:
     trial = push_trial(places, _LEVELS_N[-1:], tool)
-    chosen = places[choose_units(trial, alternatives, tool, _PLACES)]
+    chosen = places[choose_units(trial, alternatives, tool, min(_PLACES, len(places)))]
     levels = " and ".join(f"{level:g}" for level in _LEVELS_N)
-    where = "; ".join(
-        ", ".join(f"{name} {value:g}" for name, value in zip(GALEN.joint_names, place, strict=True))
+    names = tool.arm.joint_names
+    there = "; ".join(
+        ", ".join(f"{name} {value:g}" for name, value in zip(names, place, strict=True))
         for place in chosen
     )
-    do = f"with the tracker on, push with {levels} N to both sides along each axis at {where}"
+    do = f"with the tracker on, push with {levels} N to both sides along each axis at {there}"
     return Proposal("pushes", do, chosen, (push_trial(chosen, _LEVELS_N, tool),), "collection")
 
 
-def _times() -> SweepTimes:
-    motion = MotionParameters()
-    velocity, acceleration = (
-        GALEN.angles(limits) for limits in (motion.max_velocity, motion.max_acceleration)
-    )
-    return SweepTimes(_SWEEP.home_angles, velocity, acceleration, _SETTLE_S + _AVERAGE_S)
-
-
-def _still(poses: Array, tool: CalibrationFile, **options: Any) -> Trial:
-    return still_trial(poses, _times().at_s(poses), _AVERAGE_S, tool, **options)
-
-
-def _chosen_poses(
-    alternatives: Sequence[Alternative], tool: CalibrationFile, *, tracker: bool
-) -> Array:
+def _chosen_poses(alternatives: Sequence[Alternative], where: _Range, *, tracker: bool) -> Array:
     """Return the poses that separate best, in a good order; a calibration can be made of them."""
-    candidates = _SWEEP.candidates()
-    trial = _still(candidates, tool, tracker=tracker)
-    poses = candidates[choose_units(trial, alternatives, tool, _POSES)]
-    if not _calibrates(poses):
+    candidates, tool = where.candidates, where.tool
+    trial = where.still(candidates, tracker=tracker)
+    most = min(_POSES, len(candidates))
+    poses = candidates[choose_units(trial, alternatives, tool, most)]
+    if not _calibrates(poses, where):
         # Half of them for what shows the load: the behaviour rejects a sweep that doesn't.
-        chosen = choose_units(trial, alternatives, tool, _POSES // 2)
+        chosen = choose_units(trial, alternatives, tool, most // 2)
         with suppress(PoseDesignError):
-            design = PoseDesign(candidates).choose(_POSES)
-            chosen += [one for one in design if one not in chosen][: _POSES - len(chosen)]
+            design = PoseDesign(candidates, arm=tool.arm).choose(most)
+            chosen += [one for one in design if one not in chosen][: most - len(chosen)]
         poses = candidates[chosen]
-    return order_poses(poses, _times())
+    return order_poses(poses, where.times, tool.arm)
 
 
-def _calibrates(poses: Array) -> bool:
+def _calibrates(poses: Array, where: _Range) -> bool:
+    arm = where.tool.arm
     try:
-        check_planned_poses(poses, zero_angles=_SWEEP.home_angles)
+        check_planned_poses(poses, zero_angles=arm.angles(where.home), arm=arm)
     except NotExcitedError:
         return False
     return True
@@ -254,8 +286,8 @@ _SWEEP_REMARK = (
 )
 
 
-def write_sweep(experiment: Experiment, path: Path) -> None:
-    """Write it as parameters of calibration_node or of collection_node, whole or not at all.
+def write_sweep(experiment: Experiment, path: Path, arm: Arm = GALEN) -> None:
+    """Write it as parameters of the arm's calibration_node or collection_node, whole or not at all.
 
     Raises GalenError for an experiment that neither runs, and where it can't be written.
     """
@@ -266,24 +298,24 @@ def write_sweep(experiment: Experiment, path: Path) -> None:
             f" runs; do it by hand: {proposal.do}"
         )
     parameters: dict[str, Any]
+    is_galen = arm.joint_names == GALEN.joint_names
     if proposal.program == "calibration":
         tracker = ", tracker/tool_pose, tracker/base_pose" if "tracker" in proposal.kind else ""
         one_sweep = "" if proposal.kind == "second mass" else " --one-sweep"
         node, more = "galen_calibration_behavior calibration_node", " -p tools_dir:=DIR"
         command = f"galen_calibration_behavior calibrate TOOL --tip X Y Z{one_sweep}"
         remark = _SWEEP_REMARK.format(tracker=tracker)
-        home = ("Xhome", "Yhome", "Zhome", "Rhome", "Thome")
-        parameters = {
-            "poses": "listed",
-            "average_s": _AVERAGE_S,
-            **dict(zip(home, GALEN.home.tolist(), strict=True)),
-            "listed_poses_rad": _rounded(GALEN.angles(proposal.poses)),
-        }
+        parameters = {"poses": "listed", "average_s": _AVERAGE_S}
+        if is_galen:
+            home = ("Xhome", "Yhome", "Zhome", "Rhome", "Thome")
+            parameters |= dict(zip(home, GALEN.home.tolist(), strict=True))
+        parameters["listed_poses_rad"] = _rounded(arm.angles(proposal.poses))
     else:
         node, more = "galen_deflection collection_node", ""
         command = "galen_deflection collect NAME --tool TOOL"
         remark = "It records what a diagnosis needs."
         parameters = {"positions": _rounded(proposal.poses), "forces_n": list(_LEVELS_N)}
+    more += "" if is_galen else " -p urdf_file:=ARM.urdf"
     head = _HEAD.format(
         do=_comment(f"{proposal.do}."),
         separates=", ".join(experiment.separates),

@@ -15,7 +15,6 @@ from typing import ClassVar
 
 import numpy as np
 from galen_model.arm.galen import (
-    GALEN,
     SENSOR,
     TRACKER_POSITION_NOISE_M,
     TRACKER_ROTATION_NOISE_RAD,
@@ -34,8 +33,7 @@ _BASE_IN_TRACKER_M = np.array([1.2, 0.3, 0.2])
 _TRACKER_STD = np.repeat([TRACKER_POSITION_NOISE_M, TRACKER_ROTATION_NOISE_RAD], 3)
 _WRENCH_HZ, _TRACKER_HZ = 500.0, 60.0
 _MOTION_STEP_S = 0.02
-_MOTION_HZ = np.array([0.17, 0.23, 0.19, 0.21, 0.29])
-_MOTION_SIZE = np.array([0.03, 0.03, 0.03, 0.7, 0.5])
+_MOTION_HZ = (0.17, 0.23, 0.19, 0.21, 0.29)
 _PUSH_STEP_S = 0.15
 _BETWEEN_PLACES_S = 5.0
 _PUSH_COURSE = np.array([0.0, 0.25, 0.5, 0.75, 1.0, 1.0, 0.75, 0.5, 0.25, 0.0])
@@ -161,7 +159,7 @@ def load_columns(trials: Sequence[Trial], tool: CalibrationFile) -> Array:
     for trial in trials:
         scene = trial.scene
         joints = _at(scene.wrench_s, scene.joint_s, scene.joints)[trial.untouched]
-        regressor = gravity_regressor(GALEN.gravity_in_sensor(GALEN.angles(joints)))
+        regressor = gravity_regressor(tool.arm.gravity_in_sensor(tool.arm.angles(joints)))
         scaled = regressor / trial.wrench_std[:, None]
         columns = [scaled @ factors[0] * trial.tool_on, scaled @ factors[1]]
         wrench = np.concatenate(columns, axis=2).reshape(-1, 8)
@@ -175,28 +173,36 @@ def still_trial(
     average_s: float,
     tool: CalibrationFile,
     *,
+    at: Array | None = None,
     tracker: bool = False,
     absent: frozenset[str] = frozenset(),
     tool_on: bool = True,
 ) -> Trial:
-    """Visit angles (n, k), rad, each averaged until at_s (n,), s; the other joints at home.
+    """Visit angles (n, k), rad, each averaged until at_s (n,), s; other joints as at `at` or home.
 
     Each joint is held during its average, so that a delay shows nothing here.
     """
     joint_s = np.stack([at_s - average_s, at_s], axis=1).ravel()
     middle_s = at_s - 0.5 * average_s
-    joints = np.repeat(GALEN.with_angles(poses), 2, axis=0)
+    joints = np.repeat(tool.arm.with_angles(poses, at), 2, axis=0)
     pushed, tracker_s = np.zeros((len(poses), 6)), middle_s if tracker else np.zeros(0)
     scene = _scene("sweep", joint_s, joints, middle_s, pushed, tracker_s, tool, tool_on)
     units = np.arange(len(poses))
     return Trial(scene, pushed, units, units[: len(tracker_s)], average_s, absent, tool_on)
 
 
-def motion_trial(speed: float, length_s: float, tool: CalibrationFile) -> Trial:
-    """Swing all joints about home, `speed` times as fast as 0.2 Hz; one unit."""
+def motion_trial(
+    speed: float, length_s: float, tool: CalibrationFile, at: Array | None = None
+) -> Trial:
+    """Swing all joints about `at` or home, `speed` times as fast as 0.2 Hz; one unit."""
+    arm = tool.arm
     at_s = np.arange(0.0, length_s, _MOTION_STEP_S)
-    phase = 2.0 * np.pi * speed * np.outer(at_s, _MOTION_HZ)
-    joints = GALEN.home + _MOTION_SIZE * np.sin(phase)
+    size = arm.by_unit(0.03, 0.5 if arm.delta is None else (0.7, 0.5))
+    hertz = np.array(_MOTION_HZ)
+    if arm.delta is None:
+        hertz = np.linspace(hertz.min(), hertz.max(), len(size))
+    phase = 2.0 * np.pi * speed * np.outer(at_s, hertz)
+    joints = (arm.home if at is None else at) + size * np.sin(phase)
     pushed, units = np.zeros((len(at_s), 6)), np.zeros(len(at_s), dtype=int)
     scene = _scene("motion", at_s, joints, at_s, pushed, np.zeros(0), tool)
     return Trial(scene, pushed, units, units[:0], _MOTION_STEP_S)
@@ -212,7 +218,7 @@ def push_trial(places: Array, levels_n: Sequence[float], tool: CalibrationFile) 
         level * sign * axis for level in levels_n for axis in np.eye(3) for sign in (1.0, -1.0)
     ]
     course = np.concatenate([np.zeros((4, 3)), *(np.outer(_PUSH_COURSE, f) for f in forces)])
-    in_sensor = np.concatenate([course @ GALEN.sensor_pose(place)[0] for place in places])
+    in_sensor = np.concatenate([course @ tool.arm.sensor_pose(place)[0] for place in places])
     pushed = np.concatenate([in_sensor, np.cross(np.asarray(tool.tip_m), in_sensor)], axis=1)
     steps, count = len(course), len(places)
     number = np.arange(steps * count)
@@ -245,4 +251,5 @@ def _scene(
         tool=ToolGeometry(load, np.asarray(tool.tip_m, dtype=float)),
         adapter=tool.adapter.load,
         zero_pose_rad=tuple(tool.zero_angles),
+        arm=tool.arm,
     )

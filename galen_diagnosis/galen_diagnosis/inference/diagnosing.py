@@ -7,11 +7,15 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from galen_model.arm.arm import Arm
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.evidence.linear import Background, evidence
 from scipy.linalg import block_diag
+from scipy.sparse import hstack
 
 from galen_diagnosis.answer.answer import (
+    NO_GAP,
     NONE,
     SURE,
     UNKNOWN,
@@ -21,11 +25,13 @@ from galen_diagnosis.answer.answer import (
     Interval,
     Verdict,
 )
+from galen_diagnosis.answer.excluded import excluded_effects
 from galen_diagnosis.answer.gap import Gap, covariance, held_out_gap, parameters, unknowns_alone
-from galen_diagnosis.answer.localization import localize
-from galen_diagnosis.effects.candidates import NEEDS_MOTION, NEEDS_TRACKER, SOUGHT
+from galen_diagnosis.answer.localization import by_pose, localize
+from galen_diagnosis.effects.candidates import NEEDS_MOTION, NEEDS_TRACKER, sought
 from galen_diagnosis.experiment.next_experiment import Experiment, propose
 from galen_diagnosis.experiment.separation import Alternative
+from galen_diagnosis.inference.discrepancy import Discrepancies, answered
 from galen_diagnosis.inference.posterior import (
     Probabilities,
     Scored,
@@ -33,10 +39,12 @@ from galen_diagnosis.inference.posterior import (
     load_settings,
     posterior,
     scored,
+    weighed,
 )
 from galen_diagnosis.inference.refine import Hypothesis, refine
 from galen_diagnosis.inference.search import Found, search
 from galen_diagnosis.inference.structure import (
+    BY_TIME,
     Structure,
     oscillation,
     remaining_energy,
@@ -44,16 +52,14 @@ from galen_diagnosis.inference.structure import (
 )
 from galen_diagnosis.observation.observation import UNKNOWNS, Observation
 from galen_diagnosis.observation.recording import DiagnosticRecording
-from galen_diagnosis.report.words import sentence
+from galen_diagnosis.report.words import data_words, sentence
 
 Progress = Callable[[str, float], None]
 
-_NO_GAP = 0.2
-"""A gap is reported only where it is four times as likely as none: two dozen effects that are not
-there have some probability each."""
 _LISTED = 0.05
 _CLEAR = 5.0
 """Log of the odds from which on remaining structure is reported."""
+_LEAST_POSES = 4
 _APART = 3.3
 """Two causes nearer than this in units of the noise can't be distinguished (study of diagnosis)."""
 
@@ -67,6 +73,7 @@ class Explored:
 
     observation: Observation
     found: Found
+    discrepancies: Discrepancies
     floor: float
     structures: tuple[Structure, ...]
     scored: tuple[Scored, ...]
@@ -77,23 +84,42 @@ def explore(recording: DiagnosticRecording, progress: Progress | None = None) ->
     say = progress or (lambda what, share: None)
     observation = Observation(recording)
     found = search(observation, progress)
-    best = min(found.hypotheses, key=lambda hypothesis: hypothesis.cost)
-    remaining, floor = remaining_energy(observation.rows, best.rows)
+    discrepancies = Discrepancies(observation, found.behind)
+    of = weighed(found, discrepancies)
+    first, best = of[0], of[0].hypothesis
     say("what the best fit leaves", 0.86)
-    seen = structures(observation, found.behind.with_free(best.columns), best.raw_rows)
+    behind = found.behind.beside(best.columns).beside(first.off, 1.0)
+    # What is rough in time and what depends on something else explain the same.
+    seen = [
+        one._replace(log_bayes=one.log_bayes - first.log_rough)
+        for one in structures(observation, behind, best.raw_rows)
+        if not (first.rough.shape[1] and one.name == BY_TIME)
+    ]
+    behind = behind.beside(first.rough, 1.0)
+    varies = discrepancies.varying(behind, best, first.shown)
+    remaining, floor = remaining_energy(observation.rows, behind.left(best.raw_rows))
     fast = oscillation(observation.streams_with(best.effects, best.unknowns))
-    seen += [] if fast is None else [fast]
+    swing = 0.0
+    if fast is not None and "loose_tool" in best.names:  # it swings
+        swing = max(fast.log_bayes, 0.0)
+    elif fast is not None:
+        seen.append(fast)
     clear = max([one.log_bayes for one in seen], default=0.0)
-    of = scored(found, max(remaining, 2.0 * clear))
-    least = min(one.energy for one in of)
-    fitted = {one.names[0] for one in of if len(one.names) == 1}
-    none = next(one for one in of if not one.names)
+    varied = max([one.log_bayes for one in varies], default=0.0)
+    left = max(answered(best, max(remaining, 2.0 * clear)), 2.0 * varied)
+    sums = [
+        one if "loose_tool" in one.names else replace(one, energy=one.energy + 2.0 * swing)
+        for one in scored(of, left, max(answered(best, clear), varied))
+    ]
+    least = min(one.energy for one in sums)
+    fitted = {one.names[0] for one in sums if len(one.names) == 1}
+    none = next(one for one in sums if not one.names)
     for name, log in found.linear.items():
         if name not in fitted:
             # Not worth a fit: what its columns alone say.
             energy = max(none.energy - 2.0 * max(log, 0.0), least)
-            of.append(Scored((name,), energy, (none.energy - energy,), max(-log, 0.0)))
-    return Explored(observation, found, floor, tuple(seen), tuple(of))
+            sums.append(Scored((name,), energy, max(-log, 0.0)))
+    return Explored(observation, found, discrepancies, floor, (*seen, *varies), tuple(sums))
 
 
 def diagnose_recording(
@@ -120,20 +146,22 @@ def conclude(explored: Explored, settings: Settings, say: Progress) -> Diagnosis
     whole = refine(observation, plain, best.parts, best.values, None, 0.0) if best.parts else none
     say("where", 0.96)
     healthy = _healthy(found, plain)
-    causes = _causes(explored, chances, verdict, best, gap, settings)
+    causes = _causes(explored, chances, verdict, best, gap)
     say("what next", 0.98)
     experiment = _next(explored, chances, verdict)
     answer = Answer(
         recording=observation.recording.name,
         verdict=verdict,
         causes=causes,
-        ranking=_ranking(chances),
+        ranking=_ranking(observation.recording.arm, chances),
         where=localize(observation.rows, none.rows, explored.floor, healthy),
         gap=gap.to_json(),
         next_experiment=None if experiment is None else experiment.to_json(),
         cannot_tell=_cannot_tell(observation),
         problems=observation.recording.problems,
         remaining=_remaining(explored),
+        tested=excluded_effects(explored, chosen, causes, verdict, settings),
+        data=data_words(observation.recording),
     )
     return Diagnosis(
         answer=replace(answer, sentence=sentence(answer)),
@@ -152,8 +180,7 @@ def conclude(explored: Explored, settings: Settings, say: Progress) -> Diagnosis
 def _healthy(found: Found, plain: Background) -> Array:
     """How the rows change by each tolerance of a healthy arm, after the unknowns' fit: (N, q)."""
     tolerances = found.behind.columns[:, UNKNOWNS:] * found.behind.prior_std[UNKNOWNS:]
-    unknown = plain.columns @ plain.solve(plain.columns.T @ tolerances)
-    return np.asarray(tolerances - unknown)
+    return plain.left(tolerances)
 
 
 def _sets(explored: Explored, chances: Probabilities) -> list[tuple[float, frozenset[str]]]:
@@ -177,7 +204,7 @@ def _verdict(explored: Explored, chances: Probabilities) -> tuple[Verdict, Hypot
     best = next(
         (fit for _, names in sets if (fit := _fitted(explored.found, names)) is not None), None
     )
-    if best is None or chances.none >= max(_NO_GAP, chances.unknown):
+    if best is None or chances.none >= max(NO_GAP, chances.unknown):
         return ("unknown" if chances.unknown > chances.none else "none"), None
     if chances.unknown >= 0.5:
         return "unknown", best
@@ -192,14 +219,12 @@ def _causes(
     verdict: Verdict,
     best: Hypothesis,
     gap: Gap,
-    settings: Settings,
 ) -> tuple[FoundCause, ...]:
     """Return the best fit's effects and, where ambiguous, those of other likely fits."""
     if verdict == NONE:
         return ()
     found = explored.found
     causes: dict[str, FoundCause] = {}
-    left = min(one.energy for one in explored.scored)
     fits = [best]
     if verdict == "ambiguous":
         for chance, names in _sets(explored, chances):
@@ -207,7 +232,8 @@ def _causes(
             if chance >= _LISTED and fit is not None and fit is not best:
                 fits.append(fit)
     for number, fit in enumerate(fits):
-        spread = covariance(explored.observation, found.behind, fit, settings, left)
+        off = hstack(explored.discrepancies.of(fit), format="csc")
+        spread = covariance(explored.observation, found.behind, off, fit)
         told = parameters(explored.observation, fit, spread)
         for index, (part, named) in enumerate(zip(fit.parts, told, strict=True)):
             if part.effect in causes:
@@ -220,6 +246,7 @@ def _causes(
                 probability=chances.effects.get(part.effect, 0.0),
                 parameters=named,
                 equivalent=_equivalent(explored, fit, index),
+                model=part.model,
                 gap_closed=closed or (_share_closed(gap, fit, index) if number == 0 else None),
             )
     return tuple(sorted(causes.values(), key=lambda cause: -cause.probability))
@@ -245,18 +272,16 @@ def _equivalent(explored: Explored, fit: Hypothesis, index: int) -> tuple[str, .
     if whole < _APART**2:
         return ()  # it does next to nothing: everything does the same
     out = set()
-    for (effect, label), columns in found.columns.items():
-        if effect in fit.names or effect in out:
-            continue
-        gram, along = found.behind.reduced(columns, does)
-        got = evidence(gram, along, 30.0 * found.typical[effect, label][: len(along)])
-        if whole - got.gain < _APART**2:
-            out.add(effect)
-    return tuple(name for name in SOUGHT if name in out)
+    for one, gram, along in found.forms.reduced(found.behind, does):
+        if one.effect not in fit.names and one.effect not in out:
+            got = evidence(gram, along, 30.0 * one.typical[: len(along)])
+            if whole - got.gain < _APART**2:
+                out.add(one.effect)
+    return tuple(name for name in sought(explored.observation.recording.arm) if name in out)
 
 
-def _ranking(chances: Probabilities) -> tuple[tuple[str, float], ...]:
-    each = {name: chances.effects.get(name, 0.0) for name in SOUGHT}
+def _ranking(arm: Arm, chances: Probabilities) -> tuple[tuple[str, float], ...]:
+    each = {name: chances.effects.get(name, 0.0) for name in sought(arm)}
     each[NONE], each[UNKNOWN] = chances.none, chances.unknown
     return tuple(sorted(each.items(), key=lambda pair: -pair[1]))
 
@@ -273,7 +298,16 @@ def _next(explored: Explored, chances: Probabilities, verdict: Verdict) -> Exper
             left.append(Alternative(fit.effects, chance, _full_covariance(fit)))
     if len(left) < 2:
         return None
-    return propose(left, explored.observation.recording.tool)
+    stood = _stood(explored.observation)
+    return propose(left, explored.observation.recording.tool, stood) if len(stood) else None
+
+
+def _stood(observation: Observation) -> Array:
+    """Return joints (n, joints) where the arm stood; none of too few poses to choose from."""
+    if observation.recording.arm.joint_names == GALEN.joint_names:
+        return GALEN.home[None]  # its experiments are on a grid
+    found = [list(one["joints"].values()) for one in by_pose(observation.rows).details]
+    return np.array(found if len(found) >= _LEAST_POSES else [])
 
 
 def _full_covariance(fit: Hypothesis) -> Array:
@@ -304,8 +338,13 @@ def _cannot_tell(observation: Observation) -> tuple[str, ...]:
     recording = observation.recording
     out = [f"no {name}: not diagnosed" for name in recording.missing]
     if not any(view.tracks for view in observation.views.values()):
-        names = ", ".join(name for name in SOUGHT if name in NEEDS_TRACKER)
+        names = ", ".join(name for name in sought(recording.arm) if name in NEEDS_TRACKER)
         out.append(f"no tracker: {names} can't be seen")
     if "motion" in recording.missing and "sweep" in recording.missing:
         out.append(f"no motion: {', '.join(sorted(NEEDS_MOTION))} can't be seen")
+    if not len(_stood(observation)):
+        out.append(
+            f"still at fewer than {_LEAST_POSES} poses: no next experiment is proposed, since where"
+            " else the arm may stand is not known"
+        )
     return tuple(out)

@@ -4,78 +4,59 @@ The few numbers of the evidence that are not physics are calibrated on simulated
 `python -m benchmarks.calibrate_diagnosis` makes `calibration.json`; causes, sessions and unknown
 kinds there are others than those of `blind_check`.
 
-An effect's model is not quite the arm's: of the energy E that an effect explains, its model leaves
-a part kappa^2 E, spread over nu directions that the other hypotheses don't have. Under a hypothesis
-whose fit leaves the energy E_h the log likelihood is that of nu such directions with variance
-1 + v, v = kappa^2 (energy explained) / nu, beside white noise,
+With E_h the energy that a hypothesis' fit leaves, what its models may be off (`discrepancy.py`)
+fitted beside it, the log likelihood is
 
-    l_h = -1/2 (E_h / (1 + v_h) + nu log(1 + v_h)) - Occam_h,
+    l_h = -1/2 E_h - Occam_h,
 
-with Occam_h = 1/2 log det(1 + L G) of the fit. "Unknown" is something unlisted beside one of these,
-or alone: nu_u directions with the variance that fits best, which take what the best fit leaves, L,
+with Occam_h = 1/2 log det(1 + L G) of the effects' numbers and of what their models may be off.
+"Unknown" is something unlisted beside one of these, or alone: nu directions with the variance that
+fits best, which take what the best fit leaves, L,
 
-    l_u = max_h l_h(E_h - L) - 1/2 (nu_u + nu_u log(L / nu_u)),
+    l_u = max_h l_h(E_h - L) - 1/2 (nu + nu log(L / nu)),
 
-and all of E_0 where nothing listed is there. "None" has nothing but noise and a healthy arm's
-excess. Probabilities go as exp(eta l - c), with c what effects and unknown ones cost
-beforehand: eta < 1 tempers evidence that is never as good as its formula (Grünwald, van Ommen,
-Bayesian Analysis 12, 2017). Energies are counted from the noise, with the structure that the best
-fit leaves (`structure.py`).
+and all of E_0 where nothing listed is there; or, where that is more, structure of log evidence S
+that was found in what the best fit leaves (`structure.py`), l_u = l_h + S. "None" has nothing but
+noise and a healthy arm's excess. Probabilities go as exp(eta l - c), with c what effects and
+unknown ones cost beforehand: eta < 1 tempers evidence that is never as good as its formula
+(Grünwald, van Ommen, Bayesian Analysis 12, 2017). Energies are counted from the noise, with the
+structure that the best fit leaves.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from importlib import resources
 
 import numpy as np
-from scipy.special import logsumexp
+from galen_model.arrays import Array
+from scipy.sparse import csc_array, hstack
 
+from galen_diagnosis.inference.discrepancy import (
+    Discrepancies,
+    gain_and_cost,
+    looks_like,
+)
 from galen_diagnosis.inference.refine import Hypothesis
 from galen_diagnosis.inference.search import Found
-
-KNOWN = {
-    "sensor_drift": "loose",
-    "cable_drag": "loose",
-    "deflection_hysteresis": "loose",
-    "backlash": "loose",
-    "inertial_load": "loose",
-    "sensor_saturation": "loose",
-    "loose_tool": "loose",
-    "base_shift": "firm",
-    "bias_step": "firm",
-    "joint_compliance": "firm",
-    "wrench_delay": "firm",
-    "tracker_delay": "firm",
-}
-"""How well an effect's model is known; all others are exact."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """kappa: fraction of what an effect explains that its model leaves, by how well it is known.
+    """unknown_dof, unknown_cost: of the hypothesis that something else is there.
 
-    dof: over how many directions that is spread. unknown_dof, unknown_cost: of the hypothesis that
-    something else is there. more_cost: of each effect beyond the first. healthy: fraction of noise
-    by which a healthy arm's excess may exceed chance. temper: power of the evidence.
+    effect_cost: of an effect; more_cost: of each beyond the first. healthy: fraction of noise by
+    which a healthy arm's excess may exceed chance. temper: power of the evidence.
     """
 
-    kappa: Mapping[str, float] = field(
-        default_factory=lambda: {"exact": 0.03, "firm": 0.06, "loose": 0.2}
-    )
-    dof: float = 12.0
     unknown_dof: float = 20.0
     unknown_cost: float = 5.0
     effect_cost: float = 5.0
     more_cost: float = 3.0
     healthy: float = 1.0
     temper: float = 0.5
-
-    def kappa_of(self, effect: str) -> float:
-        """Return an effect's."""
-        return float(self.kappa[KNOWN.get(effect, "exact")])
 
 
 def load_settings() -> Settings:
@@ -94,14 +75,14 @@ _FULL, _REST = 30.0, 0.1
 class Scored:
     """What a posterior needs of a hypothesis, and nothing else (so that settings can be fitted).
 
-    names; energy: what it leaves over the noise; shares: the energy that each effect explains;
-    occam: 1/2 log det.
+    names; energy: what it leaves over the noise; occam: 1/2 log det; structure: log evidence of
+    something more in what it leaves, where that was looked for.
     """
 
     names: tuple[str, ...]
     energy: float
-    shares: tuple[float, ...]
     occam: float
+    structure: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -114,22 +95,78 @@ class Probabilities:
     effects: dict[str, float]
 
 
-def scored(found: Found, left: float) -> list[Scored]:
-    """Hypotheses as a posterior sees them; left: structure that the best one leaves."""
-    best = min(hypothesis.cost for hypothesis in found.hypotheses)
-    out = []
-    for hypothesis in found.hypotheses:
-        occam = 0.5 * (found.none.cost - hypothesis.cost) - hypothesis.log_bayes
-        energy = hypothesis.cost - best + left
-        out.append(
-            Scored(
-                hypothesis.names,
-                energy,
-                hypothesis.energies_explained(),
-                float(occam) * _counted(hypothesis),
+@dataclass(frozen=True)
+class Weighed:
+    """A hypothesis with what its models may be off, D (N, M), in two parts.
+
+    shown: its effects' signatures; off: by these; rough: of drifts between their knots. energy: F
+    at the minimum with D fitted beside; occam: 1/2 log det of all; log_bayes: against none;
+    log_rough: how much of it is by `rough`.
+    """
+
+    hypothesis: Hypothesis
+    shown: list[Array]
+    off: csc_array
+    rough: csc_array
+    energy: float
+    occam: float
+    log_bayes: float
+    log_rough: float
+
+
+def weighed(found: Found, discrepancies: Discrepancies) -> list[Weighed]:
+    """Weigh all hypotheses, the likeliest first.
+
+    What an effect gains beside others may be what their models miss (`looks_like`).
+    """
+    out: list[Weighed] = []
+    for one in found.hypotheses:
+        shown = discrepancies.signatures(one)
+        off, rough = discrepancies.of(one, shown)
+        gain, cost = gain_and_cost(found.behind, off, one.raw_rows)
+        log_rough = 0.0
+        if rough.shape[1]:
+            more = gain_and_cost(found.behind, hstack([off, rough], format="csc"), one.raw_rows)
+            log_rough = more[0] - more[1] - (gain - cost)
+            if log_rough > 0.0:
+                gain, cost = more
+            else:
+                rough, log_rough = rough[:, :0], 0.0
+        occam = 0.5 * (found.none.cost - one.cost) - one.log_bayes
+        log_bayes = one.log_bayes + gain - cost
+        left, occam = one.cost - 2.0 * gain, occam * _counted(one) + cost
+        out.append(Weighed(one, shown, off, rough, left, occam, log_bayes, log_rough))
+    for of in tuple(out):
+        if len(of.shown) > 1:
+            _excuse(out, of)
+    return sorted(out, key=lambda one: -one.log_bayes)
+
+
+def _excuse(every: list[Weighed], of: Weighed) -> None:
+    """Take from sets of one effect less than `of` what their models may miss of what it gains."""
+    names = of.hypothesis.names
+    for k, signature in enumerate(of.shown):
+        others = [(names[j], of.shown[j]) for j in range(len(names)) if j != k]
+        without = {name for name, _ in others}
+        same = [n for n, one in enumerate(every) if set(one.hypothesis.names) == without]
+        if same:
+            # Not every form: one that fits badly is no better for it.
+            best = min(same, key=lambda n: every[n].energy)
+            one = every[best]
+            less = max(one.energy - of.energy, 0.0) * looks_like(others, signature)
+            every[best] = replace(
+                one, energy=one.energy - less, log_bayes=one.log_bayes + 0.5 * less
             )
-        )
-    return out
+
+
+def scored(of: Sequence[Weighed], left: float, structure: float) -> list[Scored]:
+    """Hypotheses, the likeliest first, as a posterior sees them.
+
+    left: energy of the structure that the first leaves, structure: its log evidence.
+    """
+    least = min(one.energy for one in of)
+    found = [Scored(one.hypothesis.names, one.energy - least + left, one.occam) for one in of]
+    return [replace(found[0], structure=structure), *found[1:]]
 
 
 def _counted(hypothesis: Hypothesis) -> float:
@@ -147,29 +184,33 @@ def _counted(hypothesis: Hypothesis) -> float:
     return 1.0 - _INPUTS_FREE * inputs / max(total, 1)
 
 
-def _bent(occam: float) -> float:
-    """Occam's factor with what lies beyond _FULL counted less.
+def _relief(of: Sequence[Scored]) -> float:
+    """Return how much of Occam's factor counts for no listed effect against none and unknown.
 
-    A bias drift of any shape takes a hundred numbers, because it is one; "unknown" has a few
-    directions whatever it is of, and would be cheaper than the truth.
+    That of the likeliest beyond _FULL, but for a rest. A bias drift of any shape takes a hundred
+    numbers, because it is one; "unknown" has a few directions whatever it is of, and would be
+    cheaper than the truth.
     """
-    return occam if occam < _FULL else _FULL + _REST * (occam - _FULL)
+    listed = [one for one in of if one.names]
+    best = min(listed, key=lambda one: 0.5 * one.energy + one.occam, default=None)
+    return 0.0 if best is None else (1.0 - _REST) * max(best.occam - _FULL, 0.0)
 
 
 def posterior(of: Sequence[Scored], settings: Settings) -> Probabilities:
     """Probabilities."""
-    none = next(one for one in of if not one.names)
-    logs = np.array([_log(one, one.energy, none.energy, settings) for one in of])
+    relief = _relief(of)
+    logs = np.array([_log(one, one.energy, relief, settings) for one in of])
     costs = np.array([_cost(len(one.names), settings) for one in of])
     # Evidence is tempered, what is likely beforehand is not.
     everything = settings.temper * logs - costs
     left = min(one.energy for one in of)
     beside = [
-        settings.temper * _log_beside(one, left, none.energy, settings) - cost
+        settings.temper * _log_beside(one, left, relief, settings) - cost
         for one, cost in zip(of, costs, strict=True)
     ]
     everything = np.append(everything, max(beside) - settings.unknown_cost)
-    weights = np.exp(everything - logsumexp(everything))
+    weights = np.exp(everything - np.max(everything))
+    weights = weights / np.sum(weights)
     effects: dict[str, float] = {}
     for one, weight in zip(of, weights, strict=False):
         for name in one.names:
@@ -182,26 +223,20 @@ def posterior(of: Sequence[Scored], settings: Settings) -> Probabilities:
     )
 
 
-def _log_beside(one: Scored, left: float, before: float, settings: Settings) -> float:
+def _log_beside(one: Scored, left: float, relief: float, settings: Settings) -> float:
     """Of something unlisted beside a hypothesis; all that is there, where there is no other."""
     taken = left if one.names else one.energy
     spread = 1.0 + np.log(max(taken / settings.unknown_dof, 1.0))
-    return _log(one, one.energy - taken, before, settings) - 0.5 * float(
-        settings.unknown_dof * spread
-    )
+    beside = _log(one, one.energy - taken, relief, settings)
+    any_shape = beside - 0.5 * float(settings.unknown_dof * spread)
+    return max(any_shape, _log(one, one.energy, relief, settings) + one.structure)
 
 
-def _log(one: Scored, energy: float, before: float, settings: Settings) -> float:
+def _log(one: Scored, energy: float, relief: float, settings: Settings) -> float:
     """Of a hypothesis, with so much energy left that it has to answer for."""
     if not one.names:
         return -0.5 * energy / (1.0 + settings.healthy)
-    explained = sum(
-        settings.kappa_of(name) ** 2 * min(share, before)
-        for name, share in zip(one.names, one.shares, strict=True)
-    )
-    extra = explained / settings.dof
-    spread = energy / (1.0 + extra) + settings.dof * np.log1p(extra)
-    return -0.5 * float(spread) - _bent(one.occam)
+    return -0.5 * energy - one.occam + relief
 
 
 def _cost(effects: int, settings: Settings) -> float:

@@ -119,17 +119,19 @@ def refine(
     rows = rows_at(theta, base)
     cost = cost_of(rows, theta)
     columns = np.zeros((len(rows), len(theta)))
-    gram = np.zeros((len(theta), len(theta)))
+    projected = behind.projected(columns)
+    linear = all(part.columns is not None for part in parts)
     for step in range(_MOST_STEPS):
-        if parts and (step < 2 or step % 2 == 0):
-            columns = _jacobian(observation, parts, theta, cuts)
-            if weight is not None:
-                columns = columns * weight[:, None]
-        gram, along = behind.reduced(columns, rows)
-        precision = np.diag(1.0 / (typical * scale) ** 2) if parts else np.zeros((0, 0))
         move = np.zeros(0)
         if parts:
-            move = cho_solve(factor(gram + precision), along - precision @ (theta - centre))
+            if step == 0 or (not linear and (step == 1 or step % 2 == 0)):
+                columns = _jacobian(observation, parts, theta, cuts)
+                if weight is not None:
+                    columns = columns * weight[:, None]
+                projected = behind.projected(columns)
+            precision = np.diag(1.0 / (typical * scale) ** 2)
+            towards = projected.along(rows) - precision @ (theta - centre)
+            move = cho_solve(factor(projected.gram + precision), towards)
         nu = behind.fit(rows - columns @ move)
         turn = nu[_BASE]
         lowered = False
@@ -153,12 +155,12 @@ def refine(
         if gained < _ENOUGH:
             break
     nu = behind.fit(rows)
-    after = rows - behind.columns @ nu
+    after = rows - behind.times(nu)
     covariance = np.zeros((0, 0))
     log_bayes = 0.0
     if parts:
         spread = typical * scale
-        inner = np.eye(len(theta)) + gram * np.outer(spread, spread)
+        inner = np.eye(len(theta)) + projected.gram * np.outer(spread, spread)
         covariance = np.linalg.inv(inner) * np.outer(spread, spread)
         log_bayes = -0.5 * float(np.linalg.slogdet(inner)[1])
     log_bayes += sum(part.bonus for part in parts)

@@ -2,49 +2,43 @@
 
 Every form of every effect is judged by its linear evidence first; the likeliest are fitted on the
 simulator (`refine.py`). To the best of them every other effect is added, again linearly first, and
-the best pairs are fitted; triples grow from pairs in the same way. The cable, whose pull is far
-from linear in where it is held, is fitted from its few best starts.
+the best pairs are fitted; triples grow from pairs in the same way.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from galen_model.arrays import Array
 from galen_model.evidence.linear import Background, Evidence, evidence
 from scipy.special import logsumexp
 
-from galen_diagnosis.effects.candidates import (
-    Candidate,
-    background,
-    candidates,
-    tolerance,
-    unknown_columns,
-)
-from galen_diagnosis.effects.scans import (
-    crosstalk_candidates,
-    drift_candidates,
-    jump_candidate,
-    saturation_candidates,
-    scan_shifts,
-    scan_steps,
-)
+from galen_diagnosis.effects.candidates import Candidate
+from galen_diagnosis.effects.forms import Forms
 from galen_diagnosis.inference.refine import Hypothesis, nothing, refine
 from galen_diagnosis.observation.observation import Observation
 
 Progress = Callable[[str, float], None]
 
-_LINEAR_FORMS = {"cable_drag": 1, "backlash": 1}
-"""Of some effects only the first numbers are linear from the start."""
-
 _WORTH = 2.0
 _WORTH_MORE = 4.0
 _HOPELESS = 15.0
 _IDLE = 9.0
-_SINGLES, _PAIRS_FROM, _PAIRS, _TRIPLES = 7, 3, 4, 2
-_FORMS_EACH = {"cable_drag": 3, "deflection_hysteresis": 2, "crosstalk": 2, "sensor_drift": 2}
+_BEHIND = 0.4
+"""Part of the likeliest single effect's evidence below which no pair is grown from another one."""
+_GENERAL = ("cable_drag", "sensor_drift")
+"""Effects of many numbers that are linear: below that part they are not fitted either."""
+_SINGLES, _PAIRS_FROM, _PAIRS, _TRIPLES = 7, 3, 4, 1
+_FORMS_EACH = {
+    "backlash": 3,
+    "cable_drag": 3,
+    "deflection_hysteresis": 2,
+    "crosstalk": 2,
+    "sensor_drift": 3,
+    "sensor_saturation": 2,
+}
 
 
 @dataclass(frozen=True)
@@ -52,114 +46,47 @@ class Found:
     """What a search leaves.
 
     hypotheses: fitted, the likeliest first, `none` among them; linear: log Bayes factor of every
-    effect by its columns alone, against none; columns: of every candidate by effect and form.
+    effect by its columns alone, against none.
     """
 
-    behind: Background
+    forms: Forms
     hypotheses: tuple[Hypothesis, ...]
     linear: dict[str, float]
     none: Hypothesis
-    columns: dict[tuple[str, str], Array]
-    typical: dict[tuple[str, str], Array]
 
-
-class _Forms:
-    """All candidates with their columns at nominal."""
-
-    def __init__(self, observation: Observation) -> None:
-        self.observation = observation
-        self.unknowns = unknown_columns(observation)
-        self.all = candidates(observation)
-        self.columns = {one.key: _columns(observation, one) for one in self.all}
-        self.behind = background(observation, self.unknowns, self.columns)
-        zero = self.unknowns[:, :6]
-        linear = [*crosstalk_candidates(observation, zero), *drift_candidates(observation, zero)]
-        self.all += linear
-        self.columns |= {one.key: _columns(observation, one) for one in linear}
-        for columns in self.columns.values():
-            self.behind.remember(columns)
-        self.limits = saturation_candidates(observation, zero)
-
-    def judged(self, rows: Array, behind: Background) -> list[tuple[Candidate, Evidence]]:
-        """Every form's evidence on rows (N,) beside a background, jumps in time included."""
-        out = []
-        for candidate in self.all:
-            columns = self.columns[candidate.key]
-            gram, along = behind.reduced(columns, rows)
-            out.append((candidate, evidence(gram, along, candidate.typical[: len(along)])))
-        for limit in self.limits:
-            clipped = rows - self.observation.change([limit.base])
-            gained = behind.sum_of_squares(rows) - behind.sum_of_squares(clipped)
-            gram, along = behind.reduced(_columns(self.observation, limit), clipped)
-            beyond = evidence(gram, along, limit.typical)
-            log = beyond.log_bayes + 0.5 * gained + limit.bonus
-            out.append((limit, replace(beyond, log_bayes=log, gain=beyond.gain + gained)))
-        zero, marker = self.unknowns[:, :6], self.unknowns[:, 12:]
-        for scan, columns in (
-            (scan_steps(self.observation, zero, rows, behind), zero),
-            (scan_shifts(self.observation, marker, rows, behind), marker),
-        ):
-            if scan is not None:
-                best = scan.best()
-                candidate = jump_candidate(self.observation, scan, columns, best)
-                # Where the time is not known, a jump at any of them shares the probability.
-                found = replace(scan.found[best], log_bayes=scan.log_bayes)
-                out.append((candidate, found))
-        return out
-
-
-def _columns(observation: Observation, candidate: Candidate) -> Array:
-    """How the prediction changes (N, p) from nominal by a candidate's linear numbers."""
-    first = _LINEAR_FORMS.get(candidate.effect, len(candidate.start))
-    part = replace(
-        candidate,
-        free=candidate.free[:first],
-        start=candidate.start[:first],
-        typical=candidate.typical[:first],
-        probe=candidate.probe[:first],
-    )
-    return part.jacobian(observation, lambda values: [part.at(values)], part.start)
-
-
-def healthy_background(observation: Observation) -> Background:
-    """Return unknowns and a healthy arm's tolerances, without any search."""
-    columns = {
-        one.key: _columns(observation, one)
-        for one in candidates(observation)
-        if tolerance(observation, *one.key) is not None
-    }
-    return background(observation, unknown_columns(observation), columns)
+    @property
+    def behind(self) -> Background:
+        """Unknowns and a healthy arm's tolerances."""
+        return self.forms.behind
 
 
 def search(observation: Observation, progress: Progress | None = None) -> Found:
     """Look for the effects behind the rows."""
     say = progress or (lambda what, share: None)
     say("effects' columns", 0.1)
-    forms = _Forms(observation)
+    forms = Forms(observation)
     say("every effect alone", 0.4)
     none = nothing(observation, forms.behind)
     judged = forms.judged(none.raw_rows, forms.behind)
     say("the likeliest, on the simulator", 0.55)
-    singles = [
-        refine(observation, forms.behind, [candidate], [_start(candidate, found)], None, none.cost)
-        for candidate, found in _shortlist(judged, _SINGLES, _WORTH)
-    ]
+    singles: list[Hypothesis] = []
+    for log, candidate, start in _shortlist(judged, _SINGLES, _WORTH):
+        top = max((single.log_bayes for single in singles), default=0.0)
+        if candidate.effect not in _GENERAL or log > _BEHIND * top:
+            fit = refine(observation, forms.behind, [candidate], [start], None, none.cost)
+            singles.append(fit)
     say("pairs", 0.7)
-    pairs = _grown(observation, forms, _best(singles, _PAIRS_FROM), _PAIRS, none.cost)
+    seeds = _best(singles, _PAIRS_FROM)
+    seeds = [one for one in seeds if one.log_bayes > _BEHIND * seeds[0].log_bayes]
+    pairs = _grown(observation, forms, seeds, singles, _PAIRS, none.cost)
     say("three together", 0.85)
     top = max((single.log_bayes for single in singles), default=0.0)
     best_pairs = _best([pair for pair in pairs if pair.log_bayes > top + _WORTH], 1)
-    triples = _grown(observation, forms, best_pairs, _TRIPLES, none.cost)
+    triples = _grown(observation, forms, best_pairs, singles, _TRIPLES, none.cost)
     hypotheses = [none, *singles, *pairs, *triples]
     hypotheses += _pruned(observation, forms, hypotheses, none.cost)
-    return Found(
-        forms.behind,
-        tuple(sorted(hypotheses, key=lambda hypothesis: -hypothesis.log_bayes)),
-        _by_effect(judged),
-        none,
-        forms.columns,
-        {one.key: one.typical for one in forms.all},
-    )
+    ordered = tuple(sorted(hypotheses, key=lambda hypothesis: -hypothesis.log_bayes))
+    return Found(forms, ordered, _by_effect(judged), none)
 
 
 def _by_effect(judged: list[tuple[Candidate, Evidence]]) -> dict[str, float]:
@@ -172,8 +99,8 @@ def _by_effect(judged: list[tuple[Candidate, Evidence]]) -> dict[str, float]:
 
 def _shortlist(
     judged: list[tuple[Candidate, Evidence]], most: int, worth: float
-) -> list[tuple[Candidate, Evidence]]:
-    """Return the likeliest forms: a few effects, of each a few forms."""
+) -> list[tuple[float, Candidate, Array]]:
+    """Return the likeliest forms: a few effects, of each a few forms, and where fits begin."""
     ordered = sorted(judged, key=lambda pair: -pair[1].log_bayes)
     taken: dict[str, int] = {}
     out = []
@@ -184,16 +111,17 @@ def _shortlist(
         if number >= _FORMS_EACH.get(candidate.effect, 1) or (number == 0 and len(taken) >= most):
             continue
         taken[candidate.effect] = number + 1
-        out.append((candidate, found))
+        out.append((found.log_bayes, *_begun(candidate, found.theta)))
     return out
 
 
-def _start(candidate: Candidate, found: Evidence) -> Array:
+def _begun(candidate: Candidate, theta: Array) -> tuple[Candidate, Array]:
     """Where the fit begins: the linear answer, within limits, as far as it goes."""
+    if candidate.into is not None:
+        return candidate.into(theta)
     start = candidate.start.copy()
-    start[: len(found.theta)] = found.theta
-    low, high = candidate.limits()
-    return np.clip(start, low, high)
+    start[: len(theta)] = theta
+    return candidate, np.clip(start, *candidate.limits())
 
 
 def _best(hypotheses: list[Hypothesis], most: int) -> list[Hypothesis]:
@@ -205,7 +133,7 @@ def _best(hypotheses: list[Hypothesis], most: int) -> list[Hypothesis]:
 
 
 def _pruned(
-    observation: Observation, forms: _Forms, hypotheses: list[Hypothesis], none_cost: float
+    observation: Observation, forms: Forms, hypotheses: list[Hypothesis], none_cost: float
 ) -> list[Hypothesis]:
     """Return the best fit without those of its effects that do next to nothing in it.
 
@@ -218,36 +146,62 @@ def _pruned(
         return []
     kept = [k for k, is_idle in enumerate(idle) if not is_idle]
     parts, start = [best.parts[k] for k in kept], [best.values[k] for k in kept]
+    known = {frozenset(part.key for part in one.parts): one for one in hypotheses}
+    if frozenset(part.key for part in parts) in known:
+        return []
     return [refine(observation, forms.behind, parts, start, None, none_cost)]
+
+
+def _beside(
+    observation: Observation, behind: Background, seed: Hypothesis, single: Hypothesis
+) -> tuple[float, Array]:
+    """Return the log evidence that a fitted effect adds to a seed, and its numbers there.
+
+    Linear about where the effect was fitted alone: a cable's pull is far from linear at no cable.
+    """
+    (part,) = single.parts
+    rows = seed.raw_rows - observation.change(single.effects) - part.unsimulated(single.values[0])
+    gained = behind.sum_of_squares(seed.raw_rows) - behind.sum_of_squares(rows)
+    gram, along = behind.reduced(single.columns, rows)
+    found = evidence(gram, along, part.typical[: len(along)])
+    low, high = part.limits()
+    start = np.clip(single.values[0] + found.theta, low, high)
+    return found.log_bayes + 0.5 * gained, start
 
 
 def _grown(
     observation: Observation,
-    forms: _Forms,
+    forms: Forms,
     seeds: list[Hypothesis],
+    singles: list[Hypothesis],
     most: int,
     none_cost: float,
 ) -> list[Hypothesis]:
     """Seeds with one more effect each, the likeliest fitted."""
-    chances: list[tuple[float, Hypothesis, Candidate, Evidence]] = []
+    chances: list[tuple[float, Hypothesis, Candidate, Array]] = []
     for seed in seeds:
-        behind = forms.behind.with_free(seed.columns)
+        behind = forms.behind.beside(seed.columns)
         judged = [
             pair for pair in forms.judged(seed.raw_rows, behind) if pair[0].effect not in seed.names
         ]
-        for candidate, found in _shortlist(judged, most, _WORTH_MORE):
-            chances.append((seed.log_bayes + found.log_bayes, seed, candidate, found))
+        for log, candidate, start in _shortlist(judged, most, _WORTH_MORE):
+            chances.append((seed.log_bayes + log, seed, candidate, start))
+        for single in singles:
+            if single.names[0] not in seed.names:
+                log, start = _beside(observation, behind, seed, single)
+                if log > _WORTH_MORE:
+                    chances.append((seed.log_bayes + log, seed, single.parts[0], start))
     chances.sort(key=lambda chance: -chance[0])
     # Linear evidence of a nonlinear effect may fall short, but not without end.
     top = max((seed.log_bayes for seed in seeds), default=0.0)
     chances = [chance for chance in chances if chance[0] > top - _HOPELESS]
     out: list[Hypothesis] = []
     seen = set()
-    for _, seed, candidate, found in chances:
-        key = (frozenset((*seed.names, candidate.effect)), candidate.label)
+    for _, seed, candidate, start in chances:
+        key = frozenset(part.key for part in (*seed.parts, candidate))
         if key in seen or len(out) >= most:
             continue
         seen.add(key)
-        parts, start = (*seed.parts, candidate), (*seed.values, _start(candidate, found))
-        out.append(refine(observation, forms.behind, parts, start, None, none_cost))
+        parts, values = (*seed.parts, candidate), (*seed.values, start)
+        out.append(refine(observation, forms.behind, parts, values, None, none_cost))
     return out

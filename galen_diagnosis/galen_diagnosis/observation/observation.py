@@ -23,7 +23,7 @@ from galen_model.load.model import ToolGeometry
 from galen_model.registration import Transform, solve_base
 from galen_model.rotation import matrix_to_rotvec, rotvec_to_matrix
 from galen_sim_driver.effects.effect import Effect
-from galen_sim_driver.replay import Replay, Scene
+from galen_sim_driver.replay import Between, Replay, Scene
 
 from galen_diagnosis.observation.noise import ChannelNoise, channel_noise
 from galen_diagnosis.observation.recording import BagData, DiagnosticRecording, Track
@@ -49,10 +49,13 @@ from galen_diagnosis.observation.rows import (
 )
 
 _GROUP_S = {"sweep": 0.1, "motion": 0.025, "push": 0.1}
+_TOUCHED_GROUP_S = 0.04
+"""Pushes come and go within some tenths of a second, and the tip with them."""
 _TRACK_GROUP_S = 0.05
 _KNOT_S = {"sweep": 5.0, "motion": 0.4, "push": 5.0}
 _REST_KNOT_S = 5.0
 _QUIET = 500
+_QUIET_TRACKS = 300
 _TRACK_KNOT_S = 0.4
 _LEAST_NOISE = np.array([1e-4] * 3 + [1e-6] * 3)
 _USUAL_TRACKER_NOISE = [
@@ -100,12 +103,14 @@ class BagView:
     """One bag's thinned scene, and how its rows lie.
 
     scene: at the groups' mean times. shows (nw,): groups whose wrench is scored. gains: what a
-    constant change of wrench (nw, 6), tip and marker (nt, 6) becomes in the rows.
+    constant change of wrench (nw, 6), tip and marker (nt, 6) becomes in the rows; leads: where
+    values at the scene's times show earlier than a change does, None where they don't.
     """
 
     scene: Scene
     shows: np.ndarray
     gains: tuple[Array, Array, Array]
+    leads: tuple[Between | None, Between | None, Between | None]
 
     @property
     def tracks(self) -> bool:
@@ -156,9 +161,13 @@ class Observation:
         """Return what effects and unknowns add to the prediction, in the rows' units (N,)."""
         out = []
         for name, view in self.views.items():
-            wrench, tip, marker = self._difference(name, effects, unknowns)
-            pairs = zip(view.gains, (wrench[view.shows], tip, marker), strict=True)
-            out += [(gain * part).ravel() for gain, part in pairs]
+            parts = self._difference(name, effects, unknowns)
+            led = [
+                part if lead is None else lead.of(part)
+                for part, lead in zip(parts, view.leads, strict=True)
+            ]
+            led[0] = led[0][view.shows]
+            out += [(gain * part).ravel() for gain, part in zip(view.gains, led, strict=True)]
         return np.concatenate(out)
 
     def nominal_reading(self, name: str) -> Array:
@@ -199,7 +208,7 @@ class Observation:
         moved = tip[:, :3] - old_tip[:, :3]
         if len(tip):
             old = old_tip[:, 3:].reshape(-1, 3, 3)
-            turned = matrix_to_rotvec(tip[:, 3:].reshape(-1, 3, 3) @ np.swapaxes(old, -1, -2))
+            turned = _rotvec(tip[:, 3:].reshape(-1, 3, 3) @ np.swapaxes(old, -1, -2))
             moved = np.concatenate([moved, turned], axis=1)
         else:
             moved = np.zeros((0, 6))
@@ -252,6 +261,8 @@ class Observation:
             adapter=tool.adapter.load,
             zero_pose_rad=tuple(tool.zero_angles),
             arm=self.recording.arm,
+            inertia_kg_m2=self.recording.inertia_kg_m2,
+            nominal=self.recording.nominal_effects,
         )
         of = phases(self.recording.arm, bag.wrench_s, bag.joint_s, bag.joints)
         residual = scene.reading - Replay(scene).reading()
@@ -278,7 +289,8 @@ class Observation:
         shown = np.where(at_rest[:, None], residual, np.nan)
         self._stream(name, WRENCH_AXES, bag.wrench_s, shown, noise)
         stretch = of.stretch * 2 + scene.touched
-        groups = groups_of(bag.wrench_s, stretch, _GROUP_S[name], max(n.order for n in noise))
+        length_s = np.where(scene.touched, _TOUCHED_GROUP_S, _GROUP_S[name])
+        groups = groups_of(bag.wrench_s, stretch, length_s, max(n.order for n in noise))
         white, gain = whitened(residual, noise, stretch, groups)
         shows = group_mean(groups, at_rest.astype(float)) > 0.5
         parts = [(_whereabouts(bag, bag.wrench_s, of, regime, groups, shows, 0, noise),
@@ -292,18 +304,21 @@ class Observation:
             tracker_s=np.zeros(0),
         )
         gains = (gain[shows], nothing, nothing)
+        lead = _led(groups.at_s, noise, bag.wrench_s)
+        leads: tuple[Between | None, Between | None, Between | None] = (lead, None, None)
         if bag.tool_marker is not None and bag.base_marker is not None:
-            tracker_s, tip_gain, marker_gain, more = self._track(bag, scene, regime)
+            tracker_s, tip, marker, more = self._track(bag, scene, regime)
             thin = replace(thin, tracker_s=tracker_s)
-            gains = (gain[shows], tip_gain, marker_gain)
+            gains = (gain[shows], tip[0], marker[0])
+            leads = (lead, tip[1], marker[1])
             parts += more
-        self.views[name] = BagView(thin, shows, gains)
+        self.views[name] = BagView(thin, shows, gains, leads)
         return _joined(parts)
 
     def _track(
         self, bag: BagData, scene: Scene, regime: np.ndarray
-    ) -> tuple[Array, Array, Array, list[_Part]]:
-        """Return times of the tracker's groups, gains of tip and marker, and their rows."""
+    ) -> tuple[Array, tuple[Array, Between | None], tuple[Array, Between | None], list[_Part]]:
+        """Return times of the tracker's groups, gains and leads of tip and marker, their rows."""
         tool, base = bag.tool_marker, bag.base_marker
         assert tool is not None
         assert base is not None
@@ -325,12 +340,16 @@ class Observation:
         )
         marker = _marker_displacement(base, there, at_s)
         off[~of.still] = np.nan  # in motion the tracker's own delay shows more than the arm
-        still_runs = stretches(at_s, off, of.stretch, of.still)
+        # Under a push the tip shows what springs, gaps and delays do, and no noise alone.
+        untouched = of.still & ~scene.touched[nearest]
+        quiet = untouched if untouched.sum() >= _QUIET_TRACKS else of.still
+        runs = of.stretch * 2 + scene.touched[nearest]
+        still_runs = stretches(at_s, off, runs, quiet)
         whole = stretches(at_s, marker, np.zeros(len(at_s), int), np.ones(len(at_s), bool))
         tip_noise = channel_noise(still_runs, _TRACK_KNOT_S, 1e-7) or _USUAL_TRACKER_NOISE
         marker_noise = channel_noise(whole, _REST_KNOT_S, 1e-7) or _USUAL_TRACKER_NOISE
         order = max(n.order for n in (*tip_noise, *marker_noise))
-        groups = groups_of(at_s, of.stretch, _TRACK_GROUP_S, order)
+        groups = groups_of(at_s, of.stretch, np.full(len(at_s), _TRACK_GROUP_S), order)
         regime_at = np.where(of.still, regime[nearest], moving_regime(scene.arm, of))
         everything = np.ones(len(groups.at_s), dtype=bool)
         gains, parts = [], []
@@ -343,7 +362,7 @@ class Observation:
             # Rows without a value weigh nothing; the shapes stay simple.
             dead = ~np.isfinite(white)
             white[dead], gain[dead] = 0.0, 0.0
-            gains.append(gain)
+            gains.append((gain, _led(groups.at_s, noise, at_s)))
             rows = _whereabouts(bag, at_s, of, regime_at, groups, everything, first, noise)
             parts.append((rows, white.ravel()))
         return groups.at_s, gains[0], gains[1], parts
@@ -398,6 +417,35 @@ def _whereabouts(
 
 def _at(at_s: Array, known_s: Array, values: Array) -> Array:
     return np.stack([np.interp(at_s, known_s, column) for column in values.T], axis=1)
+
+
+def _led(at_s: Array, noise: Sequence[ChannelNoise], sample_s: Array) -> Between | None:
+    """Return values at times at_s (n,) as they are when whitening lets them show, by channel."""
+    step_s = float(np.median(np.diff(sample_s))) if len(sample_s) > 1 else 0.0
+    lead_s = np.array([one.lead_s(step_s) for one in noise])
+    if not np.any(lead_s) or not len(at_s):
+        return None
+    return Between(at_s[:, None] + lead_s, at_s)
+
+
+_SMALL_RAD = 0.5
+
+
+def _rotvec(matrix: Array) -> Array:
+    """`matrix_to_rotvec` (n, 3) of turns (n, 3, 3) that are mostly small, ten times as fast.
+
+    Of a turn by theta, half of R - R^T is sin(theta) times the axis: exact to rounding where theta
+    is far from pi / 2.
+    """
+    m = matrix
+    axis = 0.5 * np.stack(
+        [m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]], axis=1
+    )
+    sine = np.sqrt(np.einsum("ni,ni->n", axis, axis))
+    cosine = 0.5 * (np.einsum("nii->n", m) - 1.0)
+    if np.any(cosine < np.cos(_SMALL_RAD)):
+        return matrix_to_rotvec(matrix)
+    return np.asarray(axis * (np.arcsin(sine) / np.where(sine > 0.0, sine, 1.0))[:, None])
 
 
 def _at_least(noise: ChannelNoise, floor: float) -> ChannelNoise:

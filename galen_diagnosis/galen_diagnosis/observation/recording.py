@@ -13,17 +13,37 @@ from pathlib import Path
 import numpy as np
 from galen_bags.arrays.arm_recording import ArmRecording, read_arm
 from galen_bags.arrays.marker_tracks import marker_track, read_poses
-from galen_bags.formats.bag import open_bag
+from galen_bags.formats.bag import open_bag, robot_description
 from galen_bags.formats.files import is_bag
-from galen_model.arm.arm import Arm
+from galen_model.arm.arm import MAX_URDF_BYTES, Arm
+from galen_model.arm.description import read_arm as read_description
 from galen_model.arm.galen import GALEN, WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
-from galen_model.files.calibration_file import CalibrationFile, read_calibration
+from galen_model.files.calibration_file import (
+    MAX_FILE_BYTES,
+    CalibrationFile,
+    read_calibration,
+)
+from galen_model.files.json_fields import (
+    FieldError,
+    array,
+    get,
+    mapping,
+    parse_json,
+    read_limited,
+    text,
+)
+from galen_model.load.inertia import point_mass_inertia
+from galen_sim_driver.effects.effect import Effect
+from galen_sim_driver.effects.joints import BaseInclination, JointZeroOffset
+from galen_sim_driver.effects.sensor import AxisGain, SensorMountRotation
 
 from galen_bags import BagError
 from galen_diagnosis.observation.rows import BAGS
 
+RECORDING_FILES = ("tool.json", "arm.urdf")
+"""What is read of a recording beside its bags."""
 _JUMP_S = 1.0
 _TRACKER_TOPICS = ("tracker/tool_pose", "tracker/base_pose")
 _LEAST_SAMPLES = 50
@@ -47,7 +67,7 @@ class Track:
 class BagData:
     """One bag; times in s since its first stamp, in increasing order.
 
-    start_s: its first stamp since the recording's. joint_s (nj,), joints (nj, 5) m and rad;
+    start_s: its first stamp since the recording's. joint_s (nj,), joints (nj, n) m and rad;
     wrench_s (nw,), wrenches (nw, 6) N and N.m in ft_sensor; the two markers, None without.
     """
 
@@ -63,7 +83,10 @@ class BagData:
 
 @dataclass(frozen=True)
 class DiagnosticRecording:
-    """Bags by name, in the contract's order, of an arm; `missing` names those that aren't there."""
+    """Bags by name, in the contract's order, of an arm; `missing` names those that aren't there.
+
+    inertial_forces: whether the nominal model has those of tool and adapter.
+    """
 
     name: str
     tool: CalibrationFile
@@ -71,29 +94,81 @@ class DiagnosticRecording:
     missing: tuple[str, ...]
     problems: tuple[str, ...]
     arm: Arm = GALEN
+    inertial_forces: bool = False
+
+    @property
+    def inertia_kg_m2(self) -> Array | None:
+        """Inertia (6,) of tool and adapter about the sensor's origin; None without such forces.
+
+        The calibration file's or, where it has none, that of two points at the centres, as for the
+        compensation of inertial forces.
+        """
+        if not self.inertial_forces:
+            return None
+        if self.tool.inertia is not None:
+            return self.tool.inertia.about_sensor_kg_m2
+        return point_mass_inertia(self.tool.load.load, self.tool.adapter.load)
+
+    @property
+    def nominal_effects(self) -> tuple[Effect, ...]:
+        """The mounting that the calibration file has, as effects that the nominal model has too.
+
+        An effect that is found comes on top of it.
+        """
+        mounting = self.tool.mounting
+        if mounting is None:
+            return ()
+        zeros = zip(mounting.joints, mounting.joint_zero_rad.tolist(), strict=True)
+        every: tuple[Effect, ...] = (
+            *(JointZeroOffset(joint, zero, nominal=self.arm) for joint, zero in zeros),
+            BaseInclination(*mounting.base_inclination_rad.tolist()),
+            SensorMountRotation(tuple(mounting.sensor_rotvec_rad.tolist())),
+            AxisGain(tuple(mounting.axis_gain.tolist())),
+        )
+        return tuple(effect for effect in every if not effect.changes_nothing)
+
+    @property
+    def nominal(self) -> str:
+        """The nominal model in words."""
+        mounted = " with the mounting of the calibration file" if self.nominal_effects else ""
+        if not self.inertial_forces:
+            return f"gravity{mounted}"
+        of = "two points at their centres" if self.tool.inertia is None else "the calibration file"
+        mass_kg = self.tool.load.mass_kg + self.tool.adapter.mass_kg
+        return (
+            f"gravity{mounted} and inertial forces of {mass_kg:.3f} kg (tool and adapter; inertia"
+            f" of {of})"
+        )
 
 
 def read_recording(
-    path: str | os.PathLike[str], tool: str | os.PathLike[str] | None = None
+    path: str | os.PathLike[str],
+    tool: str | os.PathLike[str] | None = None,
+    *,
+    inertial_forces: bool = False,
 ) -> DiagnosticRecording:
     """Read a recording's directory; raises GalenError.
 
-    tool: the tool's file, where it isn't the directory's own tool.json. Missing bags are named in
+    The arm is that of `arm.urdf` in it, or of `robot_description` in its bags, else the Galen.
+    tool: the tool's file, where it isn't the directory's own tool.json. inertial_forces: the
+    nominal model has those of tool and adapter, with the file's masses. Missing bags are named in
     `missing`; without any there is nothing to diagnose.
     """
     path = Path(path)
     if not any((path / name).exists() for name in BAGS):
         raise GalenError(_no_recording(path))
-    tool_file = read_calibration(path / "tool.json" if tool is None else tool)
+    tool_path = path / RECORDING_FILES[0] if tool is None else Path(tool)
+    robot = _robot(path, tool_path)
+    tool_file = read_calibration(tool_path, robot)
     arms: dict[str, ArmRecording] = {}
     problems: list[str] = []
     for name in BAGS:
         if (path / name).exists():
-            arms[name] = read_arm(path / name)
+            arms[name] = read_arm(path / name, arm=robot)
             problems += [f"{name}: {problem}" for problem in arms[name].problems]
     for name, arm in arms.items():
         _check_frames(path / name, arm, tool_file)
-    taken = {name: _Arm(path / name, arm) for name, arm in arms.items()}
+    taken = {name: _Arm(path / name, arm, robot) for name, arm in arms.items()}
     session_ns = min(usable.first_ns for usable in taken.values())
     bags = {}
     for name, usable in taken.items():
@@ -105,15 +180,54 @@ def read_recording(
             f"by their stamps the bags weren't recorded one after the other in the order "
             f"{', '.join(bags)}: drifts and jumps that last from bag to bag can't be trusted"
         )
-    if tool_file.mounting is not None or tool_file.cable is not None:
+    if tool_file.cable is not None:
         problems.append(
-            "the tool's file has an estimate of the sensor's mounting or of a cable; the nominal "
-            "model of a diagnosis leaves them out, and so finds them again"
+            "the tool's file has an estimate of a cable; the nominal model of a diagnosis leaves it"
+            " out, and so finds it again"
         )
     missing = tuple(name for name in BAGS if name not in arms)
     return DiagnosticRecording(
-        path.absolute().name or str(path), tool_file, bags, missing, tuple(problems)
+        path.absolute().name or str(path),
+        tool_file,
+        bags,
+        missing,
+        tuple(problems),
+        robot,
+        inertial_forces,
     )
+
+
+def _robot(path: Path, tool: Path) -> Arm:
+    """Return the recording's arm, with the sensor's frame and gravity of the tool's file."""
+    source, described = _description(path)
+    if not described:
+        return GALEN
+    try:
+        file = parse_json(read_limited(tool, MAX_FILE_BYTES, "a calibration file"))
+        known = mapping(file, "the file")
+        frame = text(get(known, "sensor_frame"), "sensor_frame")
+        gravity = array(get(known, "gravity_m_s2"), "gravity_m_s2", (3,))
+        return read_description(described, sensor_frame=frame, gravity_m_s2=gravity)
+    except (OSError, FieldError) as error:
+        raise GalenError(f"{tool}: can't be read: {error}") from error
+    except GalenError as error:
+        raise GalenError(f"{source}: {error}") from error
+
+
+def _description(path: Path) -> tuple[Path, str]:
+    """Return where a robot's description is in a recording, and its text; "" for none."""
+    file = path / RECORDING_FILES[1]
+    if file.exists():
+        try:
+            raw = read_limited(file, MAX_URDF_BYTES, "a robot description")
+        except (OSError, FieldError) as error:
+            raise GalenError(f"{file}: can't be read: {error}") from error
+        return file, raw.decode("utf-8", errors="replace")
+    for bag_path in (path / name for name in BAGS if (path / name).exists()):
+        with open_bag(bag_path) as bag:
+            if described := robot_description(bag):
+                return bag_path, described
+    return path, ""
 
 
 def _no_recording(path: Path) -> str:
@@ -140,11 +254,11 @@ def _check_frames(path: Path, arm: ArmRecording, tool: CalibrationFile) -> None:
 class _Arm:
     """A bag's usable joint states and wrenches in the order of their stamps.
 
-    first_ns: the first stamp. joint_s (nj,), joints (nj, 5), wrench_s (nw,), wrenches (nw, 6):
+    first_ns: the first stamp. joint_s (nj,), joints (nj, n), wrench_s (nw,), wrenches (nw, 6):
     times since then; joint_ns (nj,): stamps. problems: sentences about what was left out.
     """
 
-    def __init__(self, path: Path, arm: ArmRecording) -> None:
+    def __init__(self, path: Path, arm: ArmRecording, robot: Arm = GALEN) -> None:
         """Raise GalenError where too little is left."""
         self.problems: list[str] = []
         for what, stamps in (
@@ -157,7 +271,10 @@ class _Arm:
                     f"{path}: stamps of {what} go back by {back_s:.3g} s, as when a clock is set"
                 )
         if not np.isfinite(arm.joints).all(axis=1).any():
-            raise GalenError(f"{path}: joint states don't name all five joints")
+            raise GalenError(
+                f"{path}: joint states don't name all joints of the arm {robot.name}:"
+                f" {', '.join(robot.joint_names)}"
+            )
         joint_ns, joints = self._usable("joint states", arm.joint_stamp_ns, arm.joints)
         wrench_ns, wrenches = self._usable("wrenches", arm.wrench_stamp_ns, arm.wrenches)
         known = _within_reach(wrench_ns, joint_ns)

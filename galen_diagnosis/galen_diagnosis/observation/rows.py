@@ -117,13 +117,13 @@ def stretches(
     return [(at_s[run], residual[run]) for run in runs if len(run) and key[run[0]] >= 0]
 
 
-def groups_of(at_s: Array, stretch: np.ndarray, length_s: float, order: int) -> Groups:
-    """Group samples of each stretch by about length_s, but for its first `order`."""
+def groups_of(at_s: Array, stretch: np.ndarray, length_s: Array, order: int) -> Groups:
+    """Group samples of each stretch by about its length_s (n,), but for its first `order`."""
     step = max(float(np.median(np.diff(at_s))), 1e-6)
-    most = max(round(length_s / step), 1)
     which = np.full(len(at_s), -1)
     number = 0
     for run in np.split(np.arange(len(at_s)), np.flatnonzero(np.diff(stretch) != 0) + 1):
+        most = max(round(float(length_s[run[0]]) / step), 1)
         for part in np.array_split(run[order:], max(1, -(-(len(run) - order) // most))):
             if len(part):
                 which[part] = number
@@ -165,8 +165,8 @@ def whitened(
 
 # Phases
 
-_STILL_RAD_S, _STILL_M_S = 0.02, 2e-3
-_FAST_RAD_S2, _FAST_M_S2 = 3.0, 0.3
+_STILL = (2e-3, 0.02)  # m/s, rad/s
+_FAST = (0.3, 3.0)  # m/s^2, rad/s^2
 _LEAST_STILL_S = 0.3
 _GAP_S = 0.3
 _TOUCH_N, _TOUCH_NM = 0.25, 0.02
@@ -197,7 +197,7 @@ class Phases(NamedTuple):
 def phases(arm: Arm, at_s: Array, joint_s: Array, joints: Array) -> Phases:
     """Return phases at times at_s (n,), by the reported joints (nj, ...) at joint_s (nj,)."""
     velocity, acceleration = (_at(at_s, joint_s, part) for part in rates(joint_s, joints))
-    still = np.asarray(np.all(np.abs(velocity) < _by_unit(arm, _STILL_RAD_S, _STILL_M_S), axis=1))
+    still = np.asarray(np.all(np.abs(velocity) < arm.by_unit(*_STILL), axis=1))
     cuts = (np.diff(at_s) > _GAP_S) | (np.diff(still.astype(np.int8)) != 0)
     stretch = np.concatenate([[0], np.cumsum(cuts)])
     starts = np.flatnonzero(np.concatenate([[True], cuts]))
@@ -215,14 +215,9 @@ def phases(arm: Arm, at_s: Array, joint_s: Array, joints: Array) -> Phases:
     return Phases(stretch, still, pose, velocity, acceleration)
 
 
-def _by_unit(arm: Arm, of_rad: float, of_m: float) -> Array:
-    """Return a limit for each joint."""
-    return np.array([of_rad if unit == "rad" else of_m for unit in arm.units])
-
-
 def moving_regime(arm: Arm, of: Phases) -> np.ndarray:
     """Return the regime (n,) where the tool isn't touched."""
-    fast = (np.abs(of.acceleration) > _by_unit(arm, _FAST_RAD_S2, _FAST_M_S2)).any(axis=1)
+    fast = (np.abs(of.acceleration) > arm.by_unit(*_FAST)).any(axis=1)
     turning = arm.angles(of.rate)
     leading = np.argmax(np.abs(turning), axis=1)
     forward = turning[np.arange(len(leading)), leading] >= 0.0

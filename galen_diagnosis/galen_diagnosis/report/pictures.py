@@ -1,11 +1,7 @@
-"""Pictures of a diagnosis: where the gap is, and the residual in time, before and after.
-
-Both states have the same scale.
-"""
+"""Pictures of a diagnosis: the residual with what was found, and where the residual lies."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import matplotlib
@@ -21,36 +17,34 @@ from matplotlib.patches import Rectangle
 from galen_diagnosis.answer.answer import Diagnosis
 from galen_diagnosis.answer.localization import (
     LEVEL,
-    View,
     by_regime_of_bag,
     cell_scores,
 )
-from galen_diagnosis.observation.rows import BAGS, CHANNELS, GROUPS, REGIMES, Stream, group_of
-from galen_diagnosis.report.words import share_words
+from galen_diagnosis.observation.rows import BAGS, CHANNELS, REGIMES, group_of
 
-_AXES = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#000000")
-"""Okabe and Ito's: colour-blind people see the difference, too."""
+_MEASURED, _FOUND, _LEFT = "0.35", "#0072b2", "#e69f00"
 _POINTS = 180
+_PANELS = 2
 _UNITS = {
     "force": (1e3, "mN"),
     "torque": (1e3, "mN.m"),
     "tip translation": (1e6, "µm"),
-    "tip rotation": (1e6, "µrad"),
+    "tip rotation": (1e3, "mrad"),
+    "base marker": (1e3, "mm, mrad"),
 }
-_BEYOND = 1.15
 _MAP = "YlOrBr"
 _STATES = ("before", "after")
 _LEAST_TOP = 3.0
-_TICKS = (1, 2, 3, 5, 10, 20, 50, 100, 200, 500, 1000)
 _DARK = 0.55
 """Beyond this part of the colours' range, text is white."""
 
 
 def write_pictures(diagnosis: Diagnosis, folder: Path) -> dict[str, Path]:
     """Write all pictures that the recording has data for; their names to their files."""
-    written = {"gap": save_figure(gap_figure(diagnosis), folder / "gap.png")}
+    written = {}
     if diagnosis.streams_before:
-        written["time"] = save_figure(_times_figure(diagnosis), folder / "time.png")
+        written["answer"] = save_figure(answer_figure(diagnosis), folder / "answer.png")
+    written["gap"] = save_figure(gap_figure(diagnosis), folder / "gap.png")
     return written
 
 
@@ -69,157 +63,101 @@ def gap_figure(diagnosis: Diagnosis) -> plt.Figure:
         cell_scores(diagnosis.rows, residual, view, diagnosis.floor, diagnosis.healthy)
         for residual in residuals
     ]
-    channels = list(dict.fromkeys(one["channel"] for one in view.details))
-    channels.sort(key=CHANNELS.index)
-    columns = _columns(view)
+    channels = sorted({one["channel"] for one in view.details}, key=CHANNELS.index)
+    columns = sorted(
+        {(one["bag"], one["regime"]) for one in view.details},
+        key=lambda one: (BAGS.index(one[0]), REGIMES.index(one[1])),
+    )
     top = max(_LEAST_TOP, *(float(np.sqrt(ratio).max(initial=1.0)) for _, ratio, _ in cells))
-    height = 2.3 + 0.33 * len(channels)
-    figure, axes = plt.subplots(1, 2, figsize=(4.0 + 1.05 * len(columns), height), sharey=True)
-    norm = LogNorm(1.0, top)
+    size = (4.0 + 0.85 * len(columns), 1.9 + 0.33 * len(channels))
+    figure, axes = plt.subplots(1, 2, figsize=size, sharey=True)
     for axis, (_, ratio, p), state, residual in zip(axes, cells, _STATES, residuals, strict=True):
         rms = np.sqrt(np.mean(residual**2) / diagnosis.floor) if len(residual) else np.nan
-        _draw_cells(axis, view, ratio, p, channels, columns, norm)
+        values = np.full((len(channels), len(columns)), np.nan)
+        marked = np.zeros(values.shape, dtype=bool)
+        for one, square, chance in zip(view.details, ratio, p, strict=True):
+            at = channels.index(one["channel"]), columns.index((one["bag"], one["regime"]))
+            values[at], marked[at] = np.sqrt(square), chance < LEVEL
+        _draw_cells(axis, values, marked, LogNorm(1.0, top))
         axis.set_title(f"{state}: {rms:.2f} × noise over all", fontsize=12)
+        names = [f"{bag}\n{regime}" for bag, regime in columns]
+        axis.set_xticks(range(len(columns)), names, fontsize=8, rotation=45)
+        for row in range(1, len(channels)):
+            if group_of(channels[row]) != group_of(channels[row - 1]):
+                axis.axhline(row - 0.5, color="white", lw=3)
     axes[0].set_yticks(range(len(channels)), channels)
-    _margins(figure, 0.6, 0.3, 0.95, 0.95, between_x=0.04)
-    bar = figure.colorbar(plt.cm.ScalarMappable(norm=norm, cmap=_MAP), ax=axes, pad=0.02)
-    ticks = [tick for tick in _TICKS if tick <= top]
-    bar.set_ticks(ticks, labels=[str(tick) for tick in ticks])
-    bar.ax.minorticks_off()
-    bar.set_label("RMS residual over noise (1: noise alone)")
-    figure.suptitle(_headline(diagnosis), fontsize=11)
+    _margins(figure, 0.5, 0.1, 0.95, 0.35, 0.04)
     return figure
 
 
-def _headline(diagnosis: Diagnosis) -> str:
-    answer = diagnosis.answer
-    causes = " + ".join(cause.label for cause in answer.causes)
-    text = answer.verdict if not causes else f"{answer.verdict}: {causes}"
-    if answer.gap.get("closed_fraction"):
-        text += f"; {share_words(answer.gap['closed_fraction'])} of the gap closed"
-    return f"{text}\nframed: beyond noise and tolerances (p < 0.05, corrected for all cells)"
-
-
-def _columns(view: View) -> list[tuple[str, str]]:
-    there = {(detail["bag"], detail["regime"]) for detail in view.details}
-    return sorted(there, key=lambda one: (BAGS.index(one[0]), REGIMES.index(one[1])))
-
-
-def _draw_cells(
-    axis: plt.Axes,
-    view: View,
-    ratios: Array,
-    p_values: Array,
-    channels: Sequence[str],
-    columns: Sequence[tuple[str, str]],
-    norm: LogNorm,
-) -> None:
-    values = np.full((len(channels), len(columns)), np.nan)
-    marked = np.zeros(values.shape, dtype=bool)
-    for detail, ratio, p in zip(view.details, ratios, p_values, strict=True):
-        at = channels.index(detail["channel"]), columns.index((detail["bag"], detail["regime"]))
-        values[at] = np.sqrt(ratio)
-        marked[at] = p < LEVEL
+def _draw_cells(axis: plt.Axes, values: Array, marked: np.ndarray, norm: LogNorm) -> None:
+    """Draw values (rows, columns) as colours and numbers; NaN is grey, what is marked framed."""
     axis.set_facecolor("0.9")
     axis.imshow(np.clip(values, norm.vmin, None), norm=norm, cmap=_MAP, aspect="auto")
     for row, column in np.argwhere(np.isfinite(values)):
         value, bold = values[row, column], marked[row, column]
         dark = norm(max(value, 1.0)) > _DARK
-        axis.text(
-            column,
-            row,
-            f"{value:.1f}" if value < 99.5 else f"{value:.0f}",
-            ha="center",
-            va="center",
-            fontsize=8,
-            color="white" if dark else "black" if bold else "0.55",
-            fontweight="bold" if bold else "normal",
-        )
+        colour = "white" if dark else "black" if bold else "0.55"
+        text = f"{value:.1f}" if value < 99.5 else f"{value:.0f}"
+        weight = "bold" if bold else "normal"
+        axis.text(column, row, text, ha="center", va="center", size=8, color=colour, weight=weight)
         if bold:
             place = (column - 0.46, row - 0.44)
             axis.add_patch(Rectangle(place, 0.92, 0.88, fill=False, ec="black", lw=1.4))
-    names = [f"{bag}\n{regime}" for bag, regime in columns]
-    axis.set_xticks(range(len(columns)), names, fontsize=8, rotation=45)
-    for row in range(1, len(channels)):
-        if group_of(channels[row]) != group_of(channels[row - 1]):
-            axis.axhline(row - 0.5, color="white", lw=3)
 
 
-# In time
+# The residual with what was found
 
 
-def _times_figure(diagnosis: Diagnosis) -> plt.Figure:
-    """Draw a line of panels for each bag and group of channels, before and after."""
-    lines = list(_lines(diagnosis))
+def answer_figure(diagnosis: Diagnosis) -> plt.Figure:
+    """Draw the channels in which what was found is clearest, else those that are furthest off.
+
+    Measured less nominal, what was found adds to nominal, and what it leaves, in time.
+    """
+    panels = _clearest(diagnosis)
     figure, axes = plt.subplots(
-        len(lines),
-        2,
-        figsize=(13, 1.75 * len(lines) + 0.4),
-        squeeze=False,
-        sharey="row",
+        len(panels), 1, figsize=(10, 2.6 * len(panels) + 0.5), squeeze=False
     )
-    for row, (bag, group, before, after) in enumerate(lines):
-        factor, unit = _UNITS[group]
-        top = 0.0
-        for axis, streams, state in zip(axes[row], (before, after), _STATES, strict=True):
-            top = max(top, _draw(axis, streams, group, factor))
-            axis.set_title(f"{bag}: {group}, {state}", fontsize=9, loc="left")
-            axis.margins(x=0.01)
-        axes[row, 0].set_ylim(-_BEYOND * top, _BEYOND * top)
-        axes[row, 0].set_ylabel(unit)
-        axes[row, 0].legend(
-            loc="lower right", bbox_to_anchor=(1.0, 0.97), ncol=3, fontsize=8, frameon=False
-        )
-    for axis in axes[-1]:
-        axis.set_xlabel("time in the bag, s (grey: ± 2 σ of the noise of a point)")
-    _margins(figure, 0.9, 0.15, 0.5, 0.3, between_x=0.05, between_y=0.5)
+    for axis, (channel, bag, at_s, before, after, noise) in zip(axes[:, 0], panels, strict=True):
+        factor, unit = _UNITS[group_of(channel)]
+        band = 2.0 * noise * factor
+        axis.fill_between(at_s, -band, band, color="0.88", lw=0, step="mid", label="± 2 σ of noise")
+        axis.plot(at_s, before * factor, ".", color=_MEASURED, ms=5, label="measured less nominal")
+        if diagnosis.effects:
+            added = (before - after) * factor
+            axis.plot(at_s, added, color=_FOUND, lw=1.8, label="what was found adds to nominal")
+            axis.plot(at_s, after * factor, ".", color=_LEFT, ms=3, label="residual with it")
+        axis.set_title(f"{bag}: {group_of(channel)}, {channel}", fontsize=11, loc="left")
+        axis.set_ylabel(unit)
+        axis.margins(x=0.01)
+    axes[0, 0].legend(
+        loc="lower right", bbox_to_anchor=(1.0, 1.0), ncol=4, fontsize=9, frameon=False
+    )
+    axes[-1, 0].set_xlabel("time in the bag, s")
+    _margins(figure, 0.8, 0.15, 0.5, 0.4, 0.35)
     return figure
 
 
-def _lines(
-    diagnosis: Diagnosis,
-) -> Iterator[tuple[str, str, list[Stream], list[Stream]]]:
-    bags = list(dict.fromkeys(stream.bag for stream in diagnosis.streams_before))
-    for bag in bags:
-        for group in GROUPS:
-            if group not in _UNITS:
-                continue
-            before, after = (
-                [
-                    stream
-                    for stream in streams
-                    if stream.bag == bag and any(group_of(c) == group for c in stream.channels)
-                ]
-                for streams in (diagnosis.streams_before, diagnosis.streams_after)
-            )
-            if before:
-                yield bag, group, before, after
+_Panel = tuple[str, str, Array, Array, Array, Array]
+"""Channel, bag, times, means before and after, noise of a mean: each of _POINTS spans."""
 
 
-def _draw(axis: plt.Axes, streams: Sequence[Stream], group: str, factor: float) -> float:
-    """Draw means over even spans of time; returns the largest value, the band's at least."""
-    top = 0.0
-    for stream in streams:
-        columns = [k for k, name in enumerate(stream.channels) if name in GROUPS[group]]
-        at_s, mean, samples = _averaged(stream.at_s, stream.residual[:, columns])
-        # One band for all axes: the widest.
-        band = 2.0 * stream.noise[columns].max() * factor / np.sqrt(np.maximum(samples, 1))
-        band[samples == 0] = np.nan
-        axis.fill_between(at_s, -band, band, color="0.82", lw=0, step="mid")
-        for colour, k, values in zip(_AXES, columns, mean.T, strict=False):
-            axis.plot(
-                at_s,
-                values * factor,
-                color=colour,
-                lw=1.0,
-                marker=".",
-                ms=2.5,
-                label=stream.channels[k],
-            )
-        shown = np.concatenate([np.abs(mean).ravel() * factor, band])
-        top = max(top, float(np.nanmax(shown, initial=0.0)))
-    axis.axhline(0.0, color="black", lw=0.5)
-    return top
+def _clearest(diagnosis: Diagnosis) -> list[_Panel]:
+    """Return the clearest channel of each of the clearest streams."""
+    best: list[tuple[float, _Panel]] = []
+    for before, after in zip(diagnosis.streams_before, diagnosis.streams_after, strict=True):
+        at_s, means, samples = _averaged(before.at_s, before.residual)
+        left = _averaged(after.at_s, after.residual)[1]
+        # A span that is mostly a move shows next to nothing.
+        means[samples < 0.5 * np.median(samples[samples > 0])] = np.nan
+        noise = before.noise / np.sqrt(np.where(np.isnan(means), np.nan, samples[:, None]))
+        shown = means - left if diagnosis.effects else means
+        energy = np.nansum((shown / noise) ** 2, axis=0)
+        k = int(np.argmax(energy))
+        panel = (before.channels[k], before.bag, at_s, means[:, k], left[:, k], noise[:, k])
+        best.append((float(energy[k]), panel))
+    best.sort(key=lambda one: -one[0])
+    return [panel for _, panel in best[:_PANELS]]
 
 
 def _averaged(at_s: Array, values: Array) -> tuple[Array, Array, Array]:
@@ -237,24 +175,13 @@ def _averaged(at_s: Array, values: Array) -> tuple[Array, Array, Array]:
 
 
 def _margins(
-    figure: plt.Figure,
-    left: float,
-    right: float,
-    bottom: float,
-    top: float,
-    between_x: float = 0.2,
-    between_y: float = 0.2,
+    figure: plt.Figure, left: float, right: float, bottom: float, top: float, between: float
 ) -> None:
     """Set margins in inches: matplotlib's own layouts draw everything twice to find them.
 
-    between_x, between_y: of panels, over their own size.
+    between: panels, over their own size.
     """
     width, height = figure.get_size_inches()
     figure.subplots_adjust(
-        left=left / width,
-        right=1.0 - right / width,
-        bottom=bottom / height,
-        top=1.0 - top / height,
-        wspace=between_x,
-        hspace=between_y,
+        left / width, bottom / height, 1.0 - right / width, 1.0 - top / height, between, between
     )

@@ -1,30 +1,24 @@
-"""What a diagnosis leaves: one HTML page, the terminal's tables, the output directory.
-
-Text on the page is escaped by jinja2. Its Content-Security-Policy lets in nothing but pictures in
-the page itself and the one style sheet whose hash it names; a name that smuggled in a tag could
-still not run or load anything.
-"""
+"""What a diagnosis leaves: one HTML page, the terminal's tables, the output directory."""
 
 from __future__ import annotations
 
-import base64
-import hashlib
 import json
 import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import yaml
+from galen_model.arm.arm import Arm
+from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
 from galen_model.files.atomic_file import sync_directory
-from galen_ros.command import check_parent, writing
-from galen_sim_driver.effects.effect import Effect
+from galen_ros.command import PageRow, check_parent, render_page, writing
+from galen_sim_driver.effects.effect import ConfigError, Effect
+from galen_sim_driver.effects.registry import EFFECTS
 from galen_sim_driver.parameters import driver_file
-from jinja2 import Environment, FileSystemLoader
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -33,6 +27,9 @@ from galen_diagnosis.answer.answer import NONE, UNKNOWN, Answer
 from galen_diagnosis.answer.localization import LEVEL
 from galen_diagnosis.report.words import (
     RANKING_NOTE,
+    VERDICTS,
+    missed_words,
+    next_steps,
     p_words,
     parameter_words,
     share_words,
@@ -45,87 +42,56 @@ DIAGNOSIS, REPORT, EFFECT, PICTURES = (
     "found_effect.yaml",
     "pictures",
 )
+RESULT_VERSION = 2
+"""To be raised where answers change: kept ones of before are then not taken for today's."""
 _SHOWN_PROBABILITY = 0.005
 _RANKED = 6
 _PLACES = 4
 _CAPTIONS = {
+    "answer": "Measured less nominal, and what was found, in the channels that show it most"
+    " clearly. Grey is noise alone; what the tolerances of a healthy arm add to it is no gap.",
     "gap": "RMS residual over the noise before, and after the cause was added to the simulator, on"
     " blocks that no fit has seen. 1 is noise alone; framed cells are beyond noise and the"
     " tolerances of a healthy arm.",
-    "time": "The residual in time, before (left) and after (right) on the same scale.",
 }
-_HOW = (
-    "The nominal simulator was driven along the recorded joint states. What was measured less what"
-    " it predicts is the residual, whitened by the noise that the recording itself shows.",
-    "The unknowns of a recording that are no gap (the sensor's zero, the tracker's place) were"
-    " fitted in every comparison.",
-    "Every effect was tried singly, in pairs and more; each fitted on the simulator itself. Before,"
-    " after and the closed fraction are of blocks of time that the fit has not seen.",
-    "Closed fraction: (before - after) / (before - floor) of the mean squared residual in units of"
-    " the noise; 1 means down to the noise.",
-    "p-values of where the gap lies are how often noise and the tolerances of a healthy arm give"
-    " as much, corrected for all cells of their table: in 5 % of healthy recordings any cell of it"
-    " is marked.",
-)
-
-
-@dataclass(frozen=True)
-class Row:
-    """A table's row; share: of a bar beside it, None without one."""
-
-    cells: Sequence[str]
-    share: float | None = None
-    marked: bool = False
 
 
 def report(answer: Answer, pictures: Mapping[str, Path]) -> str:
     """Return the page; pictures: PNG files by name, as `write_pictures` gives them."""
-    loader = FileSystemLoader(Path(__file__).parent)
-    page = Environment(autoescape=True, trim_blocks=True, loader=loader).get_template(
-        "template.html"
-    )
-    style = (Path(__file__).parent / "style.css").read_text(encoding="utf-8")
-    digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode()
-    experiment = answer.next_experiment or {}
-    return page.render(
+    return render_page(
+        Path(__file__).parent / "template.html",
+        {name: file.read_bytes() for name, file in pictures.items()},
+        title=f"Diagnosis of {answer.recording}",
+        sentence=answer.sentence,
+        verdict=VERDICTS[answer.verdict],
+        good=answer.verdict == NONE,
         answer=answer,
-        style=style,
-        digest=digest,
         captions=_CAPTIONS,
-        pictures={
-            name: base64.b64encode(file.read_bytes()).decode() for name, file in pictures.items()
-        },
-        causes=[Row(cells) for cells in _causes(answer, _named)],
-        closed=f"Closed fraction: {share_words(answer.gap.get('closed_fraction'))}",
-        gap=[Row(cells) for cells in _gap(answer.gap)],
+        steps=next_steps(answer),
+        tested=[PageRow((title(one.label), missed_words(one))) for one in answer.tested],
+        causes=[PageRow(cells) for cells in _causes(answer)],
+        closed=share_words(answer.gap.get("closed_fraction")),
+        gap=[PageRow(cells) for cells in _gap(answer.gap)],
         ranking_note=RANKING_NOTE,
         ranking=[
-            Row((name, title(name), f"{probability:.1%}"), probability)
+            PageRow((name, title(name), f"{probability:.1%}"), probability)
             for name, probability in answer.ranking
             if probability >= _SHOWN_PROBABILITY or name in (NONE, UNKNOWN)
         ],
         remaining=[
-            Row((one["what"], _number(one["energy"]), _number(one["log_bayes"])))
+            PageRow((one["what"], _number(one["energy"]), _number(one["log_bayes"])))
             for one in answer.remaining
         ],
         where=list(_where(answer.where)),
-        lists=(
-            ("Not identifiable in this recording", answer.cannot_tell),
-            ("What to do next", [str(experiment["do"])] if experiment.get("do") else []),
-            ("Problems of the recording", answer.problems),
-            ("How it was done", answer.notes or _HOW),
-        ),
+        data=[PageRow(line) for line in answer.data],
     )
 
 
-def _named(label: str) -> str:
-    return f"{label}: {title(label)}"
-
-
-def _causes(answer: Answer, name_of: Callable[[str], str]) -> Iterator[tuple[str, ...]]:
+def _causes(answer: Answer) -> Iterator[tuple[str, ...]]:
     """Return a line a parameter; the cause with its first."""
     for cause in answer.causes:
-        first = (name_of(cause.label), f"{cause.probability:.1%}")
+        model = f" ({cause.model})" if cause.model else ""
+        first = (title(cause.label) + model, f"{cause.probability:.1%}")
         last = (share_words(cause.gap_closed), ", ".join(cause.equivalent) or "-")
         for number, name in enumerate(list(cause.parameters) or [""]):
             words = parameter_words(cause.effect, name, cause.parameters) if name else "-"
@@ -134,11 +100,12 @@ def _causes(answer: Answer, name_of: Callable[[str], str]) -> Iterator[tuple[str
 
 
 def _gap(gap: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
-    """Mean squares over the noise and, where there are any, RMS by channel in its own unit."""
+    """RMS over the noise and, where there are any, RMS by channel in its own unit."""
     parts = [gap.get(name) or {} for name in ("before", "after", "floor")]
-    if any("mean_square" in part for part in parts):
-        squares = [_number(part.get("mean_square")) for part in parts]
-        yield ("mean squared residual over noise", *squares)
+    squares = [part.get("mean_square") for part in parts]
+    if any(square is not None for square in squares):
+        roots = (None if square is None else square**0.5 for square in squares)
+        yield ("RMS over the noise", *map(_number, roots))
     for channel in parts[0].get("rms", {}):
         yield (f"RMS of {channel}", *(_number(part.get("rms", {}).get(channel)) for part in parts))
 
@@ -147,34 +114,25 @@ def _number(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, int | float) else "-"
 
 
-def _where(where: Mapping[str, Any]) -> Iterator[tuple[str, list[Row]]]:
+def _where(where: Mapping[str, Any]) -> Iterator[tuple[str, list[PageRow]]]:
     """Tables by their titles; of poses those that are marked."""
     for name, word in (("bags", "bag"), ("regimes", "regime"), ("channels", "channel")):
         ratios, p_values = (where.get(of, {}).get(name, {}) for of in ("ratio", "p"))
         shares = where.get(name, {})
         if shares:
-            yield (
-                word,
-                [
-                    _place(label, share, ratios.get(label), p_values.get(label))
-                    for label, share in shares.items()
-                ],
-            )
+            yield word, [_place(at, shares[at], ratios.get(at), p_values.get(at)) for at in shares]
     poses = sorted(where.get("poses", []), key=lambda pose: -pose["share"])
     if poses:
+        marked = [one for one in poses if one["share"] > 0.0 and one.get("p", 0.0) < LEVEL]
         yield (
             "pose",
-            [
-                _place(_pose_words(pose), pose["share"], pose.get("ratio"), pose.get("p"))
-                for pose in poses
-                if pose["share"] > 0.0 and pose.get("p", 0.0) < LEVEL
-            ],
+            [_place(_pose_words(p), p["share"], p.get("ratio"), p.get("p")) for p in marked],
         )
 
 
-def _place(label: str, share: float, ratio: float | None, p: float | None) -> Row:
+def _place(label: str, share: float, ratio: float | None, p: float | None) -> PageRow:
     rms = "-" if ratio is None else f"{ratio**0.5:.2f}"
-    return Row((label, f"{share:.1%}", rms, p_words(p)), share, p is not None and p < LEVEL)
+    return PageRow((label, f"{share:.1%}", rms, p_words(p)), share, p is not None and p < LEVEL)
 
 
 def _pose_words(pose: Mapping[str, Any]) -> str:
@@ -187,33 +145,36 @@ def _pose_words(pose: Mapping[str, Any]) -> str:
 
 def print_answer(answer: Answer, console: Console) -> None:
     """Print one diagnosis."""
-    console.print(f"[bold]{escape(answer.recording)}: {answer.verdict}[/bold]")
+    verdict = f"{answer.verdict} ({VERDICTS[answer.verdict].lower()})"
+    console.print(f"[bold]{escape(answer.recording)}: {verdict}[/bold]")
     console.print(escape(answer.sentence))
+    for step in next_steps(answer):
+        console.print(f"next: {escape(step)}")
     for note in answer.notes:
         console.print(f"  {escape(note)}")
     _print_table(console, ("cause", "probability", "parameter", "value (95 % interval)",
                            "alone closes", "not distinguishable from"),
-                 [(*cells[:5], _few(cells[5])) for cells in _causes(answer, str)])  # fmt: skip
+                 [(*cells[:5], _few(cells[5])) for cells in _causes(answer)])  # fmt: skip
     ranked = [(name, f"{p:.1%}") for name, p in answer.ranking[:_RANKED]]
     _print_table(console, ("cause alone or with others", "probability that it is there"), ranked)
     console.print(RANKING_NOTE)
     if "rms" in answer.gap.get("before", {}):
         gap = list(_gap(answer.gap))
         _print_table(console, ("on readings that no fit has seen", "before", "after", "floor"), gap)
-    of_recording = bool(answer.where.get("bags"))
+    whole = bool(answer.where.get("bags"))  # a recording's 60 poses are for the page
     places = [
         row.cells
         for kind, rows in _where(answer.where)
-        if not (of_recording and kind == "pose")  # 60 of them are for the page
         for row in sorted(rows, key=lambda one: -(one.share or 0.0))[:_PLACES]
-        if row.share and (row.marked or row.cells[3] == "-")
+        if row.share and (row.marked or row.cells[3] == "-") and not (whole and kind == "pose")
     ]
     _print_table(console, ("where", "share of the gap", "RMS over noise", "p"), places)
+    seen = [one for one in answer.tested if one.missed_below]
+    if seen:
+        console.print(f"tested and excluded: {len(seen)} effects, each up to the size in {REPORT}")
     for what, texts in (("not identifiable", answer.cannot_tell), ("problem", answer.problems)):
         for text in texts:
             console.print(f"{what}: {escape(text)}")
-    if answer.next_experiment is not None:
-        console.print(f"next: {escape(str(answer.next_experiment.get('do', '')))}")
 
 
 def _print_table(console: Console, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
@@ -227,6 +188,45 @@ def _print_table(console: Console, columns: Sequence[str], rows: Sequence[Sequen
 def _few(names: str) -> str:
     count = names.count(",") + 1
     return names if count <= _PLACES else f"{count} other effects"
+
+
+COLUMNS = {
+    **dict.fromkeys(("verdict", "sentence", "causes"), "string"),
+    **dict.fromkeys(
+        (
+            "probability", "gap_before", "gap_after", "gap_floor", "closed_fraction",
+            "closed_fraction_low", "closed_fraction_high",
+        ),
+        "float64",
+    ),
+    "problems": "int64",
+}  # fmt: skip
+"""The table of an archive: a row a recording, null where unknown; types as pyarrow's.
+
+causes: with their joints, comma-separated; probability: of the first. gap_...: mean squared
+residual over the noise's. problems: how many.
+"""
+
+
+def to_row(content: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a row of `COLUMNS` from diagnosis.json's content."""
+    causes, gap = content["causes"], content["gap"]
+    closed = gap.get("closed_fraction") or {}
+    low, high = closed.get("ci95") or (None, None)
+    return {
+        "verdict": content["verdict"],
+        "sentence": content["sentence"],
+        "causes": ", ".join(":".join(filter(None, (c["effect"], c.get("joint")))) for c in causes),
+        "probability": causes[0]["probability"] if causes else None,
+        **{
+            f"gap_{part}": (gap.get(part) or {}).get("mean_square")
+            for part in ("before", "after", "floor")
+        },
+        "closed_fraction": closed.get("value"),
+        "closed_fraction_low": low,
+        "closed_fraction_high": high,
+        "problems": len(content["problems"]),
+    }
 
 
 def print_overview(rows: Sequence[dict[str, Any]], console: Console) -> None:
@@ -267,24 +267,15 @@ def write_output(
     answer: Answer,
     folder: Path,
     *,
-    driver: str | None = None,
+    files: Mapping[str, str],
     draw: Callable[[Path], Mapping[str, Path]] | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Write diagnosis.json and, where given, found_effect.yaml, report.html with its pictures.
+    """Write diagnosis.json and, where given, report.html with its pictures.
 
-    They are made in a directory beside, which is renamed once all are there.
-
-    Args:
-        answer: the answer.
-        folder: the directory.
-        driver: `effect_file`'s text.
-        draw: writes the pictures into a directory, by name; None for no report.
-        overwrite: whether an old diagnosis is replaced.
-
-    Raises:
-        GalenError: an old directory is then untouched.
-
+    They are made in a directory beside, which is renamed once all are there. files: texts of
+    others by name. draw: writes the pictures into a directory, by name; None for no report.
+    overwrite: an old diagnosis is replaced. Raises GalenError; an old directory is then untouched.
     """
     check_output(folder, overwrite=overwrite)
     with writing(folder):
@@ -293,8 +284,8 @@ def write_output(
         try:
             content = json.dumps(answer.to_json(), indent=2, allow_nan=False)
             (made / DIAGNOSIS).write_text(content + "\n", encoding="utf-8")
-            if driver is not None:
-                (made / EFFECT).write_text(driver, encoding="utf-8")
+            for name, text in files.items():
+                (made / name).write_text(text, encoding="utf-8")
             if draw is not None:
                 page = report(answer, draw(made / PICTURES))
                 (made / REPORT).write_text(page, encoding="utf-8")
@@ -324,19 +315,26 @@ _HEAD = """\
 # What the diagnosis of {recording} found, for the simulated driver:
 # {causes}
 #
-#   ros2 run galen_sim_driver sim_driver_node --ros-args --params-file THIS_FILE
+#   ros2 run galen_sim_driver sim_driver_node --ros-args --params-file THIS_FILE{arm}
 """
 
 
-def effect_file(recording: str, effects: Sequence[Effect]) -> str | None:
-    """Return the found effects as the driver's parameters, YAML; None where there are none.
+def effect_file(recording: str, effects: Sequence[Effect], arm: Arm = GALEN) -> str | None:
+    """Return an arm's found effects as the driver's parameters, YAML; None where there are none.
 
-    Raises ConfigError: the driver has one of each effect, so that two of a kind are rejected.
+    Raises ConfigError: the driver has one of each effect, so that two of a kind are rejected, and
+    none of those in `effects/general_shapes.py`.
     """
     if not effects:
         return None
+    for effect in effects:
+        if effect.name not in EFFECTS:
+            words = effect.name.replace("_", " ")
+            raise ConfigError(f"the simulated driver has no {words} as it was fitted here")
     # A recording's name is whatever its directory is called: no line may end in it.
     name = "".join(letter if letter.isprintable() else "?" for letter in recording)
-    head = _HEAD.format(recording=name, causes=", ".join(effect.identity for effect in effects))
+    causes = ", ".join(effect.identity for effect in effects)
+    urdf = "" if arm.joint_names == GALEN.joint_names else " -p urdf_file:=ARM.urdf"
+    head = _HEAD.format(recording=name, causes=causes, arm=urdf)
     content = {f"/**/{node}": below for node, below in driver_file(effects).items()}
     return head + yaml.safe_dump(content, sort_keys=False)

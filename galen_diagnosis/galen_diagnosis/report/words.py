@@ -1,19 +1,35 @@
-"""A diagnosis in words: effects, parameters in the units that people read, and the sentence."""
+"""A diagnosis in words: effects, parameters in the units that people read, what to do next."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from importlib.metadata import version
 from typing import Any
 
 from galen_model.arm.galen import WRENCH_AXES
 
-from galen_diagnosis.answer.answer import NONE, SURE, UNKNOWN, Answer, FoundCause, Interval
+from galen_diagnosis.answer.answer import (
+    NONE,
+    SURE,
+    UNKNOWN,
+    Answer,
+    Excluded,
+    FoundCause,
+    Interval,
+)
+from galen_diagnosis.observation.recording import DiagnosticRecording
 
 RANKING_NOTE = (
     "Each probability is that of one cause being there; several can be there together, so they"
     " need not add up to 100 %."
 )
+VERDICTS = {
+    NONE: "No gap",
+    "identified": "Cause found",
+    "ambiguous": "Several causes are possible",
+    UNKNOWN: "A gap without a known cause",
+}
 TITLES = {
     "joint_zero_offset": "zero of the {joint} joint",
     "joint_gain": "gain of the {joint} joint",
@@ -74,6 +90,34 @@ SENTENCES = {
     " {rotvec_rad}",
 }
 
+REMEDIES = {
+    "joint_zero_offset": "set the {joint} joint's zero in its driver or in the robot description",
+    "joint_gain": "correct the scale of the {joint} joint's encoder in its driver",
+    "joint_axis_misalignment": "correct the {joint} axis in the robot description",
+    "base_inclination": "level the base, or correct gravity in the calibration file",
+    "sensor_mount_rotation": "correct the sensor's frame in the robot description",
+    "axis_gain": "have the sensor calibrated, or divide its readings by the gains",
+    "crosstalk": "have the sensor's decoupling matrix calibrated",
+    "sensor_drift": "let the sensor warm up, and zero it more often",
+    "bias_step": "look for a knock, an overload or a moved plug at that time; zero the sensor",
+    "wrench_delay": "take the delay off the stamps in the sensor's driver",
+    "sensor_saturation": "stay within the sensor's range, or take one of a larger range",
+    "tool_mass_error": "calibrate the tool again",
+    "tool_com_error": "calibrate the tool again",
+    "loose_tool": "tighten the tool in its mount",
+    "cable_drag": "give the cable slack, or calibrate the tool with its cable",
+    "inertial_load": "compensate with inertial forces",
+    "joint_compliance": "check the screws of what is softer; train the deflection model anew",
+    "deflection_hysteresis": "look for friction and loose screws; train a deflection model with it",
+    "backlash": "look for play in gear, coupling and screws of the {joint} joint",
+    "encoder_delay": "correct the stamps of the link's encoder",
+    "gear_error": "correct the gear's ratio",
+    "tracker_delay": "take the delay off the stamps in the tracker's driver",
+    "tracker_scale": "have the tracker calibrated",
+    "base_shift": "fasten the base marker's stand, and record the pushes again",
+}
+"""What to do about an effect that was found."""
+
 _AXES = {3: ("x", "y", "z"), 6: WRENCH_AXES}
 _ROTATIONS = ("rotvec_rad",)
 
@@ -124,7 +168,8 @@ def with_interval(value: Interval, unit: _Unit) -> str:
     factor, name = unit
     number = value.value * factor
     if value.low is None or value.high is None:
-        return f"{plain(number, abs(number) / 20.0)}{name}"
+        text = f"{plain(number, abs(number) / 20.0)}{name}"
+        return f"{text} ({1e3 * value.value:.3g} mrad)" if name == "°" else text
     low, high = value.low * factor, value.high * factor
     half = 0.5 * (high - low)
     return f"{plain(number, half)}{name} ({plain(low, half)} to {plain(high, half)})"
@@ -214,65 +259,102 @@ def share_words(share: dict[str, Any] | Interval | None) -> str:
     known = share.to_json() if isinstance(share, Interval) else share
     if not known or known.get("value") is None:
         return "-"
-    text, interval = f"{known['value']:.0%}", known.get("ci95")
-    return text + (f" ({interval[0]:.0%} to {interval[1]:.0%})" if interval else "")
+    text, interval = f"{known['value']:.0%}", [f"{end:.0%}" for end in known.get("ci95") or ()]
+    return text if set(interval) <= {text} else f"{text} ({' to '.join(interval)})"
+
+
+def probability_words(probability: float) -> str:
+    """Write a probability without pretending to certainty."""
+    if not 0.001 <= probability <= 0.999:
+        return "more than 99.9 %" if probability > 0.5 else "less than 0.1 %"
+    return f"{100.0 * probability:.{0 if 0.01 <= probability <= 0.99 else 1}f} %"
+
+
+_WORDS = {"about": "about", "from": "of", "to": "in", "bag": "in the middle of", "joint": "at"}
+
+
+def missed_words(one: Excluded) -> str:
+    """Write the largest size of an effect that would have been missed, or why it isn't known."""
+    told = one.missed_below or one.missed_above
+    if told is None:
+        return one.because
+    values = {name: _bare(value) for name, value in told.items()}
+    words = [f" {_WORDS[name]} {value}" for name, value in values.items() if name in _WORDS]
+    sizes = []
+    for name in (name for name in values if name not in _WORDS):
+        text = parameter_words(one.label, name, values)
+        about = f" about {name[6]}" if name.startswith("about_") else ""
+        sizes.append(f"down to {text}" if name == "stiffness" else text + about)
+    start = "beyond the largest readings: " if one.missed_above else ""
+    because = f"; {one.because}" if one.because else ""
+    return start + ", ".join(sizes) + "".join(words) + because
+
+
+def _bare(value: Any) -> Any:
+    """Return numbers as intervals of which nothing is known."""
+    if isinstance(value, dict):
+        return {name: _bare(part) for name, part in value.items() if part is not None}
+    if isinstance(value, list):
+        return [_bare(math.nan if part is None else part) for part in value]
+    return Interval(value, None, None) if isinstance(value, float) else value
 
 
 # The sentence
 
 
-_MOST_PLACES = 3
-_NAMED_SHARE = 0.1
 _MOST_TWINS = 4
 
 
 def sentence(answer: Answer) -> str:
-    """Write the verdict, the causes with their numbers, how much they explain, where it lies."""
+    """Write the verdict: causes with their numbers and probability, how much of the gap closes."""
+    chances = dict(answer.ranking)
     if answer.verdict == NONE:
-        return "No gap beyond noise and a healthy arm's tolerances: the nominal model holds."
-    where = _where(answer.where)
+        return (
+            "No gap beyond noise and a healthy arm's tolerances: the nominal model holds,"
+            f" probability {probability_words(chances.get(NONE, 0.0))}."
+        )
     if answer.verdict == UNKNOWN:
-        text = f"There is a gap that nothing on the list explains{_best_of_list(answer)}."
+        text = (
+            f"There is a gap that no effect on the list explains{_best_of_list(answer)},"
+            f" probability {probability_words(chances.get(UNKNOWN, 0.0))}."
+        )
         if answer.remaining:
-            text += f" What the nearest leaves goes with: {answer.remaining[0]['what']}."
-        return text + where
+            text += f" What remains varies systematically: {answer.remaining[0]['what']}."
+        return text
     causes = [cause for cause in answer.causes if cause.effect != UNKNOWN]
     words = _ambiguous if answer.verdict == "ambiguous" else _identified
     text = words(causes, _closed(answer.gap))
     if len(causes) < len(answer.causes):
         text += " The rest is more than noise, and unknown."
-    return text + where
+    return text + " Brackets: 95 % intervals."
 
 
 def _identified(causes: Sequence[FoundCause], closed: str) -> str:
     parts = [cause_words(cause) for cause in causes]
-    if len(parts) == 1:
-        text = f"{_capital(parts[0])}: this explains {closed} of the gap."
-    else:
-        text = f"{_capital('; '.join(parts[:-1]))}; and {parts[-1]}: together they explain"
-        text += f" {closed} of the gap."
-    return text + "".join(_twins(cause) for cause in causes)
+    chance = probability_words(min(cause.probability for cause in causes))
+    together = "; and ".join(filter(None, ("; ".join(parts[:-1]), parts[-1])))
+    it = "it" if len(parts) == 1 else "them"
+    text = f"{_capital(together)}. Probability {chance}; with {it} in the model {closed} of the gap"
+    return f"{text} closes." + "".join(_twins(cause) for cause in causes)
 
 
 def _ambiguous(causes: Sequence[FoundCause], closed: str) -> str:
     sure = [cause for cause in causes if cause.probability >= SURE]
     maybe = ", or ".join(_one_of(cause) for cause in causes if cause.probability < SURE)
+    text = "There is a gap, and this recording doesn't show what causes it"
+    text += f": {maybe}." if maybe else "."
     if sure:
-        text = f"{_capital('; and '.join(cause_words(cause) for cause in sure))}."
+        chance = probability_words(min(cause.probability for cause in sure))
+        text = f"{_capital('; and '.join(map(cause_words, sure)))}. Probability {chance}."
         if maybe:
             text += f" Whether there is more, this recording can't decide: perhaps {maybe}."
-        text += "".join(_twins(cause) for cause in sure)
-    else:
-        text = "There is a gap, and this recording doesn't show what causes it"
-        if not maybe:
-            return f"{text}."
-        text += f": {maybe}."
-    return f"{text} What is found explains {closed} of the gap."
+        text += "".join(map(_twins, sure))
+    return f"{text} With the likeliest set in the model {closed} of the gap closes."
 
 
 def _one_of(cause: FoundCause) -> str:
     """Return an open cause with its probability and its equivalents."""
-    text = f"{cause_words(cause)} ({cause.probability:.0%})"
+    text = f"{cause_words(cause)}, probability {probability_words(cause.probability)}"
     return f"{text}, or {_names(cause.equivalent)}" if cause.equivalent else text
 
 
@@ -302,19 +384,50 @@ def _closed(gap: dict[str, Any]) -> str:
     return "an unknown part" if words == "-" else words
 
 
-def _where(where: dict[str, Any]) -> str:
-    """Return the channels and bags that hold most of it."""
-    phrases = []
-    for name, preposition in (("channels", "in"), ("bags", "of")):
-        shares = [(key, share) for key, share in where.get(name, {}).items() if share]
-        shares = sorted(shares, key=lambda one: -one[1])[:_MOST_PLACES]
-        shares = [one for one in shares if one[1] >= _NAMED_SHARE] or shares[:1]
-        if shares:
-            parts = " and ".join(f"{key} ({share:.0%})" for key, share in shares)
-            phrases.append(f"{preposition} {parts}")
-    if not phrases:
-        return ""
-    return f" The gap lies {', '.join(phrases)}."
+# What to do next, and with what
+
+
+def next_steps(answer: Answer) -> list[str]:
+    """Return what to do: corrections, the next experiment, or nothing."""
+    if answer.verdict == NONE:
+        return ["Nothing. What was tested and excluded, and from which size on, is below."]
+    steps = []
+    for cause in answer.causes:
+        if answer.verdict == UNKNOWN or cause.probability < SURE or cause.effect not in REMEDIES:
+            continue
+        step = REMEDIES[cause.effect].format(joint=cause.joint or "measured")
+        if cause.equivalent:
+            step = f"rule out {_names(cause.equivalent)}; then {step}"
+        steps.append(f"{_capital(step)}.")
+    steps += answer.corrections
+    if answer.next_experiment:
+        steps.append(_capital(str(answer.next_experiment["do"])))
+    if answer.verdict == UNKNOWN:
+        steps.append(
+            "Look where the residual lies and what it varies with for something that the list"
+            " lacks (contact, a loose part, another instrument's fault); change it, record again."
+        )
+    elif not steps:
+        steps.append("Record again, with the tracker and more poses: no single experiment separates"
+                     " the causes.")  # fmt: skip
+    return steps
+
+
+def data_words(recording: DiagnosticRecording) -> tuple[tuple[str, str], ...]:
+    """Return what was diagnosed, against what and by which program."""
+    bags = (
+        f"{name} ({bag.wrench_s[-1]:.0f} s{', tracker' if bag.tool_marker else ''})"
+        for name, bag in recording.bags.items()
+    )
+    tool = recording.tool
+    return (
+        ("recording", recording.name),
+        ("bags", ", ".join(bags)),
+        ("arm", recording.arm.name),
+        ("calibration file", f"{tool.tool}, of {tool.calibrated_at}"),
+        ("nominal model", recording.nominal),
+        ("program", f"galen_diagnosis {version('galen_diagnosis')}"),
+    )
 
 
 def _capital(text: str) -> str:

@@ -84,12 +84,17 @@ class TablePlant:
         return self.reading([effect]) - self.reading()
 
     def _gravity(self, effects: Sequence[Effect]) -> Array:
-        turned = GRAVITY_M_S2.copy()
+        if self.rotation is None:
+            return self.gravity
+        in_base = self.rotation[0] @ self.gravity[0]
+        if np.allclose(in_base, GRAVITY_M_S2, rtol=0.0, atol=1e-6):
+            in_base = GRAVITY_M_S2
+        turned = in_base.copy()
         for effect in effects:
             turned = effect.gravity(turned)
-        if self.rotation is None or np.array_equal(turned, GRAVITY_M_S2):
+        if np.array_equal(turned, in_base):
             return self.gravity
-        return self.gravity + np.einsum("nji,j->ni", self.rotation, turned - GRAVITY_M_S2)
+        return self.gravity + np.einsum("nji,j->ni", self.rotation, turned - in_base)
 
 
 def table_effects(

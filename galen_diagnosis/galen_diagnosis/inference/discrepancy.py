@@ -1,0 +1,270 @@
+"""What an effect's model may be off: by row, in proportion to what the effect does there.
+
+An effect's model is not quite the arm's. With s (N,) what a fitted effect changes of the rows, the
+arm's own change is taken to be (1 + m) s with a field m of mean zero: its model discrepancy
+(Kennedy and O'Hagan, J. R. Statist. Soc. B 63, 2001), here multiplicative. Where the effect does
+nothing nothing is allowed, so that what stands beside it there keeps its whole evidence. m is
+constant over a piece of time in one group of channels, and over one channel of a bag,
+
+    m = kappa (a_piece + a_channel) / sqrt(2),    a ~ N(0, 1),
+
+so that D = [s on each piece, s on each channel] kappa / sqrt(2) are columns with unit priors.
+
+Where kappa has to be 1 the effect's size changes from piece to piece as much as it is large: then
+something acts like the effect, and is another one: `Discrepancies.varying`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from galen_model.arrays import Array
+from galen_model.evidence.linear import Background
+from galen_sim_driver.effects.sensor import SensorDrift
+from scipy.linalg import cholesky, solve_triangular
+from scipy.sparse import csc_array, hstack
+
+from galen_diagnosis.inference.refine import Hypothesis
+from galen_diagnosis.inference.structure import Structure
+from galen_diagnosis.observation.observation import Observation
+from galen_diagnosis.observation.rows import BAGS, CHANNELS, REGIMES, TIP_AXES, ResidualRows
+
+_PIECES = {"sweep": 12, "motion": 10, "push": 40}
+"""Into how many pieces of equally many blocks a bag is cut, loaded or not."""
+_SECONDS = ("wrench_delay", "tracker_delay")
+"""Effects that may change from second to second: their pieces are of one."""
+_LOADED = [REGIMES.index(name) for name in ("loading", "held")]
+
+KAPPA = {"exact": 0.015, "firm": 0.06, "loose": 0.2, "rough": 0.4}
+"""Standard deviation of m, by how well an effect's model is known."""
+
+_ANOTHER_MODEL = {"exact": 1.0, "firm": 1.0, "loose": 3.0, "rough": 8.0}
+"""Log of the odds that m of about 1 is the effect, with a model that is not fitted here."""
+
+KNOWN = {
+    "cable_drag": "loose",
+    "deflection_hysteresis": "rough",
+    "backlash": "rough",
+    "inertial_load": "firm",
+    "sensor_saturation": "loose",
+    "loose_tool": "rough",
+    "base_shift": "firm",
+    "bias_step": "firm",
+    "joint_compliance": "firm",
+    "joint_axis_misalignment": "firm",
+    "wrench_delay": "firm",
+    "tracker_delay": "firm",
+}
+"""How well an effect's model is known; all others are exact."""
+
+
+_UNSEEN, _LEAST = 0.5, 0.1
+_DIRECTIONS = 20.0
+_ACTS = 0.1
+
+
+def answered(hypothesis: Hypothesis, left: float) -> float:
+    """Return what a hypothesis has to answer for of the structure that it leaves, an energy.
+
+    A law also misses what no field m on such pieces shows: an instant, a corner, the healthy arm's
+    own tolerances where it moves otherwise. Of an effect's energy E a part (_UNSEEN kappa)^2 E, of
+    any effect _LEAST^2 E, spread over some directions, is nothing unlisted.
+    """
+    energies = zip(hypothesis.parts, hypothesis.energies_explained(), strict=True)
+    missed = sum(
+        max(_UNSEEN * kappa(part.effect), _LEAST) ** 2 * energy for part, energy in energies
+    )
+    return left / (1.0 + missed / _DIRECTIONS)
+
+
+def gain_and_cost(behind: Background, off: csc_array, rows: Array) -> tuple[float, float]:
+    """Return by how much half the energy falls with columns (N, M) beside, and 1/2 log det."""
+    cross = behind.dot(off)
+    back = behind.solve(cross)
+    gram = (off.T @ off).toarray() - cross.T @ back
+    along = off.T @ rows - back.T @ behind.dot(rows)
+    root = cholesky(np.eye(len(gram)) + gram, lower=True)
+    gain = 0.5 * float(np.sum(solve_triangular(root, along, lower=True) ** 2))
+    return gain, float(np.sum(np.log(np.diag(root))))
+
+
+def looks_like(others: Sequence[tuple[str, Array]], signature: Array) -> float:
+    """Return by how much what another effect gains may be what these effects' models miss: 0 to 1.
+
+    others: names and signatures (N,) of what is there; signature (N,): of another effect beside
+    them. As `answered`, but only where the others act.
+    """
+    missed = sum((_UNSEEN * kappa(name)) ** 2 * one**2 for name, one in others)
+    missed = np.broadcast_to(missed, signature.shape)
+    acts = missed > _ACTS * np.mean(missed)
+    share = float(np.sum(signature[acts] ** 2) / max(np.sum(signature**2), 1e-300))
+    size = float(np.sum(missed)) / _DIRECTIONS
+    return share * size / (1.0 + size)
+
+
+def kappa(effect: str) -> float:
+    """Return the standard deviation of an effect's m."""
+    return KAPPA[_level(effect)]
+
+
+def _level(effect: str) -> str:
+    return KNOWN.get(effect.partition(":")[0], "exact")
+
+
+class Discrepancies:
+    """What effects' models may be off in one recording, beside unknowns and tolerances."""
+
+    def __init__(self, observation: Observation, behind: Background) -> None:
+        self._observation, self._behind = observation, behind
+        self._pieces = _pieces(observation.rows)
+        self._by_second = _pieces(observation.rows, BAGS)
+        self._push_by_second = _pieces(observation.rows, ("push",))
+        self._unloaded = list(_before_loads(observation))
+
+    def of(
+        self, hypothesis: Hypothesis, shown: Sequence[Array] | None = None
+    ) -> tuple[csc_array, csc_array]:
+        """Return D of a hypothesis (N, M): what its models may be off, and drifts' knots.
+
+        shown: its effects' `signatures`, where they are known.
+        """
+        rows = self._observation.rows
+        off, rough = [csc_array((len(rows.channel), 0))], [csc_array((len(rows.channel), 0))]
+        each = self.signatures(hypothesis) if shown is None else shown
+        for part, alone, one in zip(hypothesis.parts, each, hypothesis.effects, strict=True):
+            off.append(_columns(kappa(part.effect) * alone, self._parts(part.effect)))
+            if part.effect in _REMEMBER:
+                off.append(self._until_loaded(alone))
+            if isinstance(one, SensorDrift) and len(one.knots_s) > 2:
+                rough.append(_between_knots(one, rows, self._behind.columns[:, :6]))
+        return hstack(off, format="csc"), hstack(rough, format="csc")
+
+    def signatures(self, hypothesis: Hypothesis) -> list[Array]:
+        """Return what each effect of a hypothesis changes of the rows (N,) beside the others.
+
+        Less what the unknowns take of it, which shows nowhere.
+        """
+        whole = self._observation.change(hypothesis.effects)
+        out = []
+        for part, values, one in zip(
+            hypothesis.parts, hypothesis.values, hypothesis.effects, strict=True
+        ):
+            others = [other for other in hypothesis.effects if other is not one]
+            alone = whole - self._observation.change(others) if others else whole
+            out.append(self._behind.left(alone + part.unsimulated(values)))
+        return out
+
+    def varying(
+        self, behind: Background, hypothesis: Hypothesis, shown: Sequence[Array]
+    ) -> list[Structure]:
+        """Return the evidence that each effect's size changes as another effect's would.
+
+        behind: all that was fitted; shown: the effects' `signatures`.
+        """
+        out = []
+        for part, alone in zip(hypothesis.parts, shown, strict=True):
+            columns = _columns(alone, self._parts(part.effect))
+            gain, cost = gain_and_cost(behind, columns, hypothesis.raw_rows)
+            log = gain - cost - _ANOTHER_MODEL[_level(part.effect)]
+            out.append(Structure(f"size of {part.effect}, by time and load", log, 2.0 * gain))
+        return out
+
+    def _parts(self, effect: str) -> np.ndarray:
+        if effect in _SECONDS:
+            return self._by_second
+        return self._push_by_second if effect in _REMEMBER else self._pieces
+
+    def _until_loaded(self, signature: Array) -> csc_array:
+        """Return the tip's displacements until it was loaded, as large as signature (N,)."""
+        scale = self._observation.rows.scale
+        size = np.abs(signature * scale)
+        values = [np.max(size[own]) / scale[before] for own, before in self._unloaded]
+        columns = np.repeat(np.arange(len(values)), [len(one) for one in values])
+        rows = [before for _, before in self._unloaded]
+        return csc_array(
+            (np.concatenate([*values, []]), (np.concatenate([*rows, []]).astype(int), columns)),
+            shape=(len(scale), len(values)),
+        )
+
+
+def _pieces(rows: ResidualRows, by_second: Sequence[str] = ()) -> np.ndarray:
+    """Return the parts (3, N) that each row is in, numbered together.
+
+    by_second: bags whose pieces are of a second, not as in `_PIECES`.
+    """
+    piece = np.zeros(len(rows.channel), dtype=np.int64)
+    for number, name in enumerate(BAGS):
+        here = rows.bag == number
+        if name in by_second:
+            piece[here] = np.floor(rows.bag_s[here]).astype(np.int64)
+        else:
+            _, block = np.unique(rows.block[here], return_inverse=True)
+            count = block.max(initial=0) + 1
+            piece[here] = block * min(_PIECES[name], count) // count
+    loaded = np.isin(rows.regime, _LOADED)
+    group = rows.channel // 3
+    first = ((piece * 2 + loaded) * len(BAGS) + rows.bag) * len(CHANNELS) + group
+    second = rows.bag * len(CHANNELS) + rows.channel
+    _, first = np.unique(first, return_inverse=True)
+    _, second = np.unique(second, return_inverse=True)
+    second = second + first.max(initial=0) + 1
+    return np.stack([first, second, np.full_like(second, second.max(initial=0) + 1)])
+
+
+def _columns(signature: Array, of: np.ndarray) -> csc_array:
+    acts = np.flatnonzero(signature)
+    parts, column = np.unique(of[:, acts], return_inverse=True)
+    values = np.tile(signature[acts] / np.sqrt(len(of)), len(of))
+    where = np.tile(acts, len(of)), column.ravel()
+    return csc_array((values, where), shape=(len(signature), len(parts)))
+
+
+_REMEMBER = ("deflection_hysteresis", "backlash")
+"""Effects of what was before: they cross and lag within a second, and remember of the way there."""
+_ENOUGH = 0.5
+
+
+def _before_loads(observation: Observation) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield rows of the tip at each place, in each of its axes, and those until it was loaded.
+
+    Until each axis of the load was at _ENOUGH of its largest; nothing where nothing was pushed.
+    """
+    rows = observation.rows
+    first = CHANNELS.index(TIP_AXES[0])
+    tip = (rows.bag == BAGS.index("push")) & (rows.channel >= first)
+    tip &= (rows.channel < first + len(TIP_AXES)) & (rows.pose >= 0)
+    if not tip.any():
+        return
+    at_s, load = observation.applied_load("push")
+    for place in np.unique(rows.pose[tip]):
+        here = np.flatnonzero(tip & (rows.pose == place))
+        for axis in np.abs(load[:, :3]).T:
+            size = np.interp(rows.bag_s[here], at_s, axis)
+            loaded = rows.bag_s[here[size > _ENOUGH * size.max()]]
+            before = here[rows.bag_s[here] < loaded.min(initial=np.inf)]
+            for channel in np.unique(rows.channel[before]):
+                yield here[rows.channel[here] == channel], before[rows.channel[before] == channel]
+
+
+_LEVELS = 2
+"""How often the time between knots is halved."""
+
+
+def _between_knots(drift: SensorDrift, rows: ResidualRows, zero: Array) -> csc_array:
+    """Return hats between a drift's knots, in each axis; zero (N, 6): columns of the zero."""
+    knots, levels = np.array(drift.knots_s), np.reshape(drift.levels, (-1, 6))
+    std = np.sqrt(np.mean(np.diff(levels, 2, axis=0) ** 2, axis=0) / 8.0)
+    parts = []
+    for level in range(_LEVELS):
+        # Between two knots a hat rises from 0 to 1 and falls again.
+        at = np.interp(rows.session_s, knots, np.arange(len(knots)) * 2.0**level)
+        hat = np.minimum(np.floor(at), (len(knots) - 1) * 2**level - 1)
+        height = 1.0 - np.abs(2.0 * (at - hat) - 1.0)
+        size = height[:, None] * zero * (std / 2.0 ** (0.5 * level))
+        column = hat.astype(np.int64)[:, None] * 6 + np.arange(6)
+        row = np.repeat(np.arange(len(at)), 6)
+        shape = (len(at), 6 * (len(knots) - 1) * 2**level)
+        parts.append(csc_array((size.ravel(), (row, column.ravel())), shape=shape))
+    whole = hstack(parts, format="csc")
+    return whole[:, np.flatnonzero(abs(whole).sum(axis=0))]
