@@ -1,7 +1,7 @@
 # `make demo` and `make test` do all they need; `make help` lists the rest.
 SHELL := /bin/bash
 .DEFAULT_GOAL := help
-.PHONY: help setup networks browser build test test-slow test-soak lint demo bench soak blind blind-short clean
+.PHONY: help setup networks browser build test test-slow test-soak lint demo bench arms soak blind blind-short clean
 
 STARTER ?= python3
 SETUP = $(STARTER) scripts/setup_env.py
@@ -52,14 +52,18 @@ demo: build ## calibrate two tools on the simulated arm and show the report's ta
 bench: build ## measure: nodes against a bare relay, kernels, start-up, diagnosis, bags (40 min)
 	@$(ENTER) && python -m benchmarks.speed --output output/bench.json $(ARGS)
 
+arms: build ## calibrate robots that others described, a UR5 in MuJoCo, a measured Panda (20 min)
+	@$(SETUP) arms
+	@$(ENTER) && python -m benchmarks.arms $(ARGS)
+
 soak: build ## run the nodes for long: losses, memory, stamps; an hour simulated, 10 min at 1000 Hz
 	@$(ENTER) && python -m benchmarks.soak $(ARGS)
 
 blind: build ## hide causes in recordings, diagnose them, score that (an hour or more)
-	@$(ENTER) && python -m galen_diagnosis.blind_check $(ARGS)
+	@$(ENTER) && python -m galen_diagnosis.blind_check run $(ARGS)
 
 blind-short: build ## the same with six recordings, always the same ones; must get them right
-	@$(ENTER) && python -m galen_diagnosis.blind_check --short --seed 1 --at-least 1
+	@$(ENTER) && python -m galen_diagnosis.blind_check run --short --seed 1
 
 clean: ## remove what was built; with ALL=1 the environment too
 	rm -rf build install log $(if $(ALL),.venv)

@@ -32,7 +32,13 @@ from galen_model.load.model import ADAPTER, TOOLS
 from galen_sim_driver.effects.effect import Effect
 from galen_sim_driver.effects.load import CableDrag, InertialLoad
 from galen_sim_driver.plant.cell import Plant
-from galen_sim_driver.plant.config import ACCELERATION, VELOCITY, ZERO3, HandPush, PlantConfig
+from galen_sim_driver.plant.config import (
+    ZERO3,
+    HandPush,
+    PlantConfig,
+    acceleration_limits,
+    velocity_limits,
+)
 from galen_sim_driver.plant.motion import Trajectory, TrajectoryPoint
 from offline_cell import CellBag, OfflineCell
 from tqdm import tqdm
@@ -150,7 +156,7 @@ _SWING_RANGE = np.array([0.08, 0.08, 0.06, 1.2, 0.8])
 def _swings(cell: OfflineCell, recipe: Recipe, _folder: Path) -> None:
     """Move to random places, each as fast as the arm's limits allow."""
     rng = np.random.default_rng(recipe.seed)
-    velocity, acceleration = np.array(VELOCITY), np.array(ACCELERATION)
+    velocity, acceleration = np.array(velocity_limits(GALEN)), np.array(acceleration_limits(GALEN))
     joints = GALEN.home
     cell.run(1.5)
     for _ in range(_SWING_MOVES):

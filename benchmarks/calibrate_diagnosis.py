@@ -44,9 +44,8 @@ _FAINT = 0.5
 _LEAST = 1e-3
 """A single case costs no more than this probability: the plant's laws may be odd, too."""
 
-_SPREAD = (0.5, 0.5, 0.5, 0.3, 0.3, 0.5, 0.5, 0.5, 0.7, 0.4)
-"""Prior of the settings' logarithms about where they start: a hundred cases tell ten numbers, and
-the least so how well laws of other arms are known."""
+_SPREAD = (0.3, 0.5, 0.5, 0.5, 0.7, 0.4)
+"""Prior of the settings' logarithms about where they start."""
 
 
 @dataclass(frozen=True)
@@ -134,7 +133,7 @@ def collect(case: Case) -> dict[str, Any]:
 def known(content: dict[str, Any]) -> Known:
     """Of a file that `collect` left."""
     scored = tuple(
-        Scored(tuple(one["names"]), one["energy"], tuple(one["shares"]), one["occam"])
+        Scored(tuple(one["names"]), one["energy"], one["occam"], one["structure"])
         for one in content["scored"]
     )
     acceptable = tuple(frozenset(names) for names in content["acceptable"])
@@ -168,16 +167,13 @@ def fitted(cases: Sequence[Known], start: Settings) -> Settings:
 
 
 def _vector(of: Settings) -> np.ndarray:
-    numbers = [of.kappa["exact"], of.kappa["firm"], of.kappa["loose"], of.dof, of.unknown_dof]
-    numbers += [of.unknown_cost, of.effect_cost, of.more_cost, of.healthy, of.temper]
-    return np.log(np.array(numbers))
+    return np.log(np.array(list(asdict(of).values())))
 
 
 def _settings(vector: np.ndarray) -> Settings:
     numbers = [float(value) for value in np.exp(np.clip(vector, -8.0, 6.0))]
-    kappa = dict(zip(("exact", "firm", "loose"), numbers[:3], strict=True))
-    names = ("dof", "unknown_dof", "unknown_cost", "effect_cost", "more_cost", "healthy", "temper")
-    return Settings(kappa, **dict(zip(names, [*numbers[3:9], min(numbers[9], 1.0)], strict=True)))
+    of = dict(zip(asdict(Settings()), numbers, strict=True))
+    return Settings(**{**of, "temper": min(of["temper"], 1.0)})
 
 
 def _plain(parameters: dict[str, Any]) -> dict[str, Any]:

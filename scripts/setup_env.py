@@ -4,6 +4,7 @@
     python3 scripts/setup_env.py setup     make .venv
     python3 scripts/setup_env.py build     make .venv and build the packages
     python3 scripts/setup_env.py networks  make .venv, and add PyTorch to it
+    python3 scripts/setup_env.py arms      make .venv, and add descriptions of other robots to it
 
 Any Python 3 from 3.8 on may start it; it looks for the one that the environment needs.
 """
@@ -18,7 +19,7 @@ import os
 from pathlib import Path
 
 from workspace.build import build
-from workspace.environment import Environment
+from workspace.environment import OPTIONAL_GROUPS, Environment
 from workspace.machine import SetupError, exclusive, shared
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -29,8 +30,8 @@ def main(arguments: "list[str] | None" = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument(
         "step",
-        choices=("setup", "build", "networks"),
-        help="setup: .venv only; networks: with PyTorch",
+        choices=("setup", "build", *OPTIONAL_GROUPS),
+        help="setup: .venv only; networks: with PyTorch; arms: with descriptions of robots",
     )
     parser.add_argument("--verbose", action="store_true", help="show all that colcon prints")
     options = parser.parse_args(arguments)
@@ -48,8 +49,8 @@ def main(arguments: "list[str] | None" = None) -> int:
 def do(step: str, environment: Environment, *, verbose: bool) -> None:
     """Make `.venv` where it is not ready, then go on in it.
 
-    A build and PyTorch's installation may go side by side; while either does, no process makes
-    `.venv` anew.
+    A build and the installation of an optional group may go side by side; while either does, no
+    process makes `.venv` anew.
     """
     lock = ROOT / ".workspace.lock"
     while True:
@@ -64,7 +65,7 @@ def do(step: str, environment: Environment, *, verbose: bool) -> None:
 
 def go_on(step: str, environment: Environment, *, verbose: bool) -> None:
     """Do what comes after `.venv`."""
-    if step == "networks":
+    if step in OPTIONAL_GROUPS:
         environment.add(step)
     elif step == "build":
         build(environment, verbose=verbose)

@@ -292,22 +292,23 @@ def test_a_finished_environment_is_kept(ready):
     ready.make()  # would fail on the empty .venv if it looked further
 
 
-def test_an_optional_group_is_added_once_and_makes_nothing_anew(ready):
+@pytest.mark.parametrize("group", environment.OPTIONAL_GROUPS)
+def test_an_optional_group_is_added_once_and_makes_nothing_anew(ready, group):
     """The environment's Python here writes down what it is called with, and has nothing in it."""
     calls = ready.root / "calls"
     script(ready.python, f'echo "$@" >> {calls}; case "$*" in *metadata*) echo "{{}}";; esac\n')
-    ready.add("networks")
+    ready.add(group)
     said = calls.read_text()
-    pins = read_pins(ready.root / "requirements" / "networks.txt")
+    pins = read_pins(ready.root / "requirements" / f"{group}.txt")
     assert all(f" {name}=={version}" in said for name, version in pins.items())
-    assert said.rstrip().endswith(environment.OPTIONAL_GROUPS["networks"][0])
-    ready.add("networks")
+    assert said.rstrip().endswith(environment.OPTIONAL_GROUPS[group][0])
+    ready.add(group)
     assert calls.read_text() == said
     assert ready.is_ready()
-    path = ready.root / "requirements" / "networks.txt"
+    path = ready.root / "requirements" / f"{group}.txt"
     path.write_text(path.read_text() + "# changed\n")
     assert ready.is_ready()
-    ready.add("networks")
+    ready.add(group)
     assert calls.read_text() == said + said
 
 

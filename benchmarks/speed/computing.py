@@ -4,6 +4,8 @@
   and against the formula of other packages (R^T m g and the centre's torque, R from the caller);
 - compensation of an array: against the same formula on arrays, and against writing as many bytes
   as the kernel has to read and write, once (numpy's copy): what memory allows;
+- six joints: compensation of one sample and of arrays, against gravity in the sensor by Pinocchio
+  alone, one sample after the other;
 - regression: a calibration's two sweeps of 56 and of 10 000 poses, against one plain least squares
   of the same equations;
 - hysteresis: a sample of a deflection model with two smooth plays at each spring, against the
@@ -15,13 +17,15 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import count
+from pathlib import Path
 
 import numpy as np
+import pinocchio
 from galen_deflection.models.spring_model import SpringStream
-from galen_model.arm.description import PinocchioArm
+from galen_model.arm.description import PinocchioArm, read_arm
 from galen_model.arm.galen import GALEN, SENSOR
 from galen_model.arrays import Array
 from galen_model.load.identification import StillPoses, identify_two_sweeps
@@ -37,6 +41,7 @@ _SAMPLES = 1_000_000
 _PERIOD_NS = 2_000_000
 _LEAST_S = 0.05
 _UNITS = (("ns", 1e9), ("us", 1e6), ("ms", 1e3), ("s", 1.0))
+_SIX_AXIS = Path(__file__).parents[2] / "galen_bringup/urdf/six_axis.urdf"
 _GRAVITY = np.array([0.0, 0.0, -9.81])
 
 
@@ -119,6 +124,33 @@ def arrays(rounds: int, samples: int = _SAMPLES) -> list[Compared]:
         Compared("compensation, arrays", "kernel", name, "sample", each["ours"], each[key])
         for key, name in (("peer", "the peers' formula on arrays"), ("copy", "memory"))
     ]
+
+
+def six_joints(rounds: int, samples: int = _SAMPLES // 10) -> list[Compared]:
+    """Compare the compensation of an arm with six revolute joints."""
+    text = _SIX_AXIS.read_text(encoding="utf-8")
+    arm, model = read_arm(text), pinocchio.buildModelFromXML(text)
+    data, sensor = model.createData(), model.getFrameId(arm.sensor_frame)
+    angles, readings = np.random.default_rng(3).uniform(-1.0, 1.0, (2, samples, 6))
+    one, joints, reading = tuple(angles[0].tolist()), angles[0], readings[0]
+    kernel = Prediction(replace(bench_tool(), arm=arm), arm)
+
+    def ours() -> Array:
+        return kernel.wrench(reading - kernel.reading(one))
+
+    def by_pinocchio() -> Array:
+        pinocchio.forwardKinematics(model, data, joints)
+        placement = pinocchio.updateFramePlacement(model, data, sensor)
+        return np.asarray(placement.rotation.T @ arm.gravity_m_s2)
+
+    live = time_calls({"ours": ours, "base": by_pinocchio}, rounds)
+    calls = {"ours": partial(kernel.compensate, readings, angles)}
+    whole = time_calls(calls, rounds, pieces=samples)
+    return [
+        Compared(f"six joints, {what}", "kernel", "gravity in the sensor by Pinocchio, one sample",
+                 "sample", times["ours"], live["base"])
+        for what, times in (("one sample", live), ("arrays", whole))
+    ]  # fmt: skip
 
 
 def regression(rounds: int) -> list[Compared]:
@@ -231,7 +263,9 @@ def _often(call: Callable[[], object]) -> int:
         number = max(number + 1, int(1.2 * number * _LEAST_S / max(taken, 1e-9)))
 
 
-PARTS: tuple[Callable[[int], list[Compared]], ...] = (one_sample, arrays, regression, hysteresis)
+PARTS: tuple[Callable[[int], list[Compared]], ...] = (
+    one_sample, arrays, six_joints, regression, hysteresis,
+)  # fmt: skip
 
 
 def measure(options: argparse.Namespace, progress: Callable[[str], None]) -> list[Compared]:

@@ -4,6 +4,7 @@ import numpy as np
 from galen_deflection.models.file import read_model
 
 from benchmarks.nominal import write_bench_models
+from benchmarks.speed.computing import six_joints
 
 
 def test_its_models_read_and_work_and_one_remembers(tmp_path):
@@ -16,3 +17,9 @@ def test_its_models_read_and_work_and_one_remembers(tmp_path):
         left[path.stem] = np.linalg.norm(stream.step(2_000_000, joints, np.zeros(6)).mean)
     assert left == {"joint_stiffness": 0.0, "joint_hysteresis": left["joint_hysteresis"]}
     assert left["joint_hysteresis"] > 0.0
+
+
+def test_six_joints_are_timed_live_and_in_arrays_against_pinocchio():
+    live, arrays = six_joints(1, samples=256)
+    assert 0.0 < arrays.time_s[1] < live.time_s[1] < 1e-3
+    assert live.baseline_s == arrays.baseline_s

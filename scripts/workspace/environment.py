@@ -21,6 +21,7 @@ GROUPS = ("runtime", "dev", "build", "ros")
 # What each must be able to import, and the room that it takes with its download.
 OPTIONAL_GROUPS = {
     "networks": ("import torch", 9_000_000_000),
+    "arms": ("import importlib.metadata as m; m.files('example-robot-data')[0]", 700_000_000),
 }
 STAMP_NAME = "galen_env.json"
 # Always ours, also where ROS's Debian packages bring another version: what tests and checks.

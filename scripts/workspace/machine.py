@@ -15,7 +15,7 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-NEEDED_DISK_BYTES = 2_000_000_000  # the environment and the build take 1.3 GB
+NEEDED_DISK_BYTES = 2_000_000_000  # the environment and the build take 1.6 GB
 
 _APT = "Debian, Ubuntu: sudo apt install"
 _TOOLS = (

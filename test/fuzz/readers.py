@@ -15,7 +15,6 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 
@@ -55,7 +54,7 @@ from galen_bags.formats.files import read_metadata  # noqa: E402
 from galen_bags.formats.mcap_records import zstd  # noqa: E402
 from galen_bags.formats.raw_block import pack  # noqa: E402
 from galen_deflection.models.file import read_model, write_model  # noqa: E402
-from galen_diagnosis.blind.blind_protocol import Places, answered  # noqa: E402
+from galen_diagnosis.blind.answers import read_answer  # noqa: E402
 from galen_gravcomp.evaluate.drift_series import read_series  # noqa: E402
 from galen_model.arm.galen import GALEN  # noqa: E402
 from galen_model.errors import GalenError  # noqa: E402
@@ -67,6 +66,7 @@ from galen_model.files.calibration_file import (  # noqa: E402
 )
 from galen_model.files.calibration_store import CalibrationStore  # noqa: E402
 from galen_model.files.comparison import compare_calibrations  # noqa: E402
+from galen_model.files.json_fields import FieldError  # noqa: E402
 from galen_ros.cdr import ImuWire, JointWire, WrenchWire  # noqa: E402
 
 LONGEST_MESSAGE = 2000
@@ -309,16 +309,13 @@ def _motion_seeds() -> list[bytes]:
 
 
 def use_answer(path: Path) -> None:
-    """A diagnosis's answer in a blind check."""
-    folder = path.parent / "answers" / "r"
-    folder.mkdir(parents=True, exist_ok=True)
+    """An answer of any tool to a recording of a blind set."""
     try:
-        (folder / path.name).write_bytes(path.read_bytes())
-        (one,) = answered(Places(path.parent), [SimpleNamespace(recording="r")])
-    finally:
-        shutil.rmtree(folder.parent)
-    assert one.said.first in one.said.ranking and one.said.named >= set(one.said.causes)
-    assert np.isfinite([*one.said.ranking.values()]).all()
+        said = read_answer(path.parent, path.stem)
+    except FieldError as error:
+        raise GalenError(f"{path}: {error}") from error
+    assert said.first in said.ranking and said.named >= set(said.causes)
+    assert np.isfinite([*said.ranking.values()]).all()
 
 
 def _answer_seeds() -> list[bytes]:
