@@ -5,11 +5,11 @@ of scripts/env.sh. Record again only where a number is meant to change, and say 
 
 Commands are run by their names as users know them, in this process. What is compared has names of
 its own, so that a rename needs a change here only in the functions that pick the numbers:
-`COMMANDS` for commands, `compensate_live` for the compensator, `effect_identity` and `parameters`
-for effects, the `..._numbers` functions for fields of files and answers.
+`COMMANDS` for commands, `compensate_live` for the compensator, the `..._numbers` functions for
+fields of files.
 
 The compensator's output is held to the last bit, on a processor whose arithmetic is that of the
-recording (`arithmetic`); the rest to TOLERANCE, but for probabilities and a cable.
+recording (`arithmetic`); the rest to TOLERANCE, but for a cable.
 """
 
 import contextlib
@@ -33,7 +33,6 @@ from rosbags.typesys import Stores, get_typestore
 ROOT = Path(__file__).resolve().parents[1]
 BAGS = ROOT / "bags"
 BASELINES = Path(__file__).resolve().parent / "baselines"
-RECORDINGS = ROOT.parent / "shared" / "recordings"
 MEASURED = ROOT.parent / "shared" / "data" / "real"
 
 # Calibration files for the compensator, so that it is judged without the calibration.
@@ -41,15 +40,11 @@ RETRACTOR = BASELINES / "retractor_with_inertia.json"
 POINTER = BASELINES / "pointer_with_cable.json"
 
 # Of the largest number in the same list. With other numbers of threads and another processor's
-# arithmetic 3e-12 was seen; 9e-9 in a diagnosis' probability, which is the exponential of a large
-# number; 2e-9 in what a cable's optimiser leaves.
+# arithmetic 3e-12 was seen; 2e-9 in what a cable's optimiser leaves.
 TOLERANCE = 1e-9
-DIAGNOSIS_TOLERANCE = 1e-7
 CABLE_TOLERANCE = 1e-6
 # N, N.m: of a compensated wrench on another processor; a learned cable came out 2e-11 N apart.
 ROUNDING = 1e-9
-# Probabilities below it are those of effects that are out of the question.
-PROBABILITY = 1e-9
 KEPT_WRENCHES = 40
 
 COMMANDS = {
@@ -57,22 +52,9 @@ COMMANDS = {
     "evaluate": ("galen_gravcomp", "evaluate"),
     "train": ("galen_deflection", "train"),
     "evaluate_deflection": ("galen_deflection", "evaluate"),
-    "diagnose": ("galen_diagnosis", "diagnose"),
 }
 CABLE_FORMS = ("point", "point_and_couple", "free")
 DEFLECTION_MODELS = ("joint_stiffness", "joint_hysteresis")
-# Half of the diagnoses, which take half a minute each: by `make test-soak`, or by name.
-ONE_BY_ONE = frozenset(
-    (
-        *(f"disclosed/recording_{n}" for n in (359, 601, 942)),
-        *(f"disclosed_2/recording_{n}" for n in (224, 390, 842)),
-    )
-)
-DIAGNOSED = (
-    *(f"disclosed/recording_{n}" for n in (359, 420, 601, 695, 942, 956)),
-    *(f"disclosed_2/recording_{n}" for n in (224, 390, 393, 404, 767, 842)),
-)
-CHANNELS = ("fx", "fy", "fz", "tx", "ty", "tz", "dx", "dy", "dz", "rx", "ry", "rz")
 
 
 def run(command, *arguments):
@@ -426,91 +408,6 @@ def deflection(tmp_path):
     return numbers
 
 
-# Diagnoses
-
-OF_A_JOINT = {
-    "roll_zero_offset": ("joint_zero_offset", "roll"),
-    "tilt_zero_offset": ("joint_zero_offset", "tilt"),
-    "tilt_gain": ("joint_gain", "tilt"),
-    "tilt_axis_misalignment": ("joint_axis_misalignment", "tilt"),
-}
-"""Effects by the names that they had before each had a joint."""
-SPRINGS = {"k_q": "carriage"}
-
-
-def effect_identity(entry):
-    """An effect and its joint as the contract names them, from a cause or a rank."""
-    effect, joint = OF_A_JOINT.get(entry["effect"], (entry["effect"], None))
-    joint = joint or entry.get("joint") or entry.get("parameters", {}).get("joint")
-    return f"{effect}, {joint}" if isinstance(joint, str) else effect
-
-
-def parameters(cause):
-    """Numbers of the parameters: {name: [value and interval]}, named as in the contract."""
-    found = {}
-    for name, value in cause["parameters"].items():
-        if name in ("joint", "about"):
-            continue
-        if name.startswith("k_"):
-            found[f"stiffness, {SPRINGS.get(name, name[2:])}"] = numbers_in(value)
-        elif name == "stiffness":
-            found |= {f"stiffness, {part}": numbers_in(one) for part, one in value.items()}
-        elif name == "about_z_rad" and "axis_misalignment" in cause["effect"]:
-            found["angle_rad"] = numbers_in(value)
-        else:
-            found[name] = numbers_in(value)
-    return {name: value for name, value in found.items() if value}
-
-
-def numbers_in(value):
-    """All numbers of a value, its 95 % interval and what is in them, in order."""
-    if isinstance(value, dict):
-        return [*numbers_in(value["value"]), *numbers_in(value["ci95"])]
-    if isinstance(value, list):
-        return [number for part in value for number in numbers_in(part)]
-    return [value] if isinstance(value, int | float) and not isinstance(value, bool) else []
-
-
-def ranking(ranks):
-    """Probabilities by effect, the largest first: several where it was tried at several joints."""
-    found = {}
-    for rank in sorted(ranks, key=lambda rank: -rank["probability"]):
-        if rank["probability"] > PROBABILITY:
-            effect = effect_identity(rank).split(",")[0]
-            found.setdefault(effect, []).append(rank["probability"])
-    return found
-
-
-def diagnosis(name, tmp_path):
-    recording = RECORDINGS / name
-    if not recording.is_dir():
-        pytest.skip(f"the recordings in ../shared/recordings are not here: {name}")
-    run("diagnose", recording, "--output", tmp_path / "diagnosis", "--no-report")
-    return diagnosis_numbers(tmp_path / "diagnosis" / "diagnosis.json")
-
-
-def diagnosis_numbers(path):
-    told = json.loads(path.read_text())
-    gap = told["gap"]
-    numbers = {
-        "verdict": told["verdict"],
-        "ranking": ranking(told["ranking"]),
-        "gap": {part: gap[part]["mean_square"] for part in ("before", "after", "floor")},
-        "closed_fraction": numbers_in(gap["closed_fraction"]),
-        "channels": [told["where"]["channels"][channel] for channel in CHANNELS],
-        "bags": list(told["where"]["bags"].values()),
-    }
-    for cause in told["causes"]:
-        identity = effect_identity(cause)
-        for parameter, values in parameters(cause).items():
-            numbers[f"{identity}: {parameter}"] = values
-        numbers[f"{identity}: equivalent"] = sorted(
-            effect_identity({"effect": effect}).split(",")[0] for effect in cause["equivalent"]
-        )
-        numbers[f"{identity}: gap_closed"] = numbers_in(cause["gap_closed"])
-    return numbers
-
-
 # Recording and comparing
 
 
@@ -533,11 +430,10 @@ GROUPS = {
     },
     "tables": {name: lambda folder, name=name: table(name, folder) for name in TABLES},
     "deflection": {"pushes": deflection},
-    "diagnosis": {name: lambda folder, name=name: diagnosis(name, folder) for name in DIAGNOSED},
 }
 
 
-SLOW = ("cable", "deflection", "diagnosis", "retractor, sensor rotation estimated")
+SLOW = ("cable", "deflection", "retractor, sensor rotation estimated")
 """Groups, and one entry of a group."""
 
 
@@ -589,7 +485,6 @@ def compensator_differences(stored, found):
 
 COMPARE = {
     "compensator": compensator_differences,
-    "diagnosis": partial(differences, tolerance=DIAGNOSIS_TOLERANCE),
     "cable": partial(differences, tolerance=CABLE_TOLERANCE),
 }
 
@@ -602,8 +497,7 @@ def cases():
     for group, group_entries in GROUPS.items():
         for name in group_entries:
             slow = group in SLOW or name in SLOW
-            kind = pytest.mark.soak if name in ONE_BY_ONE else pytest.mark.slow
-            marks = [kind, pytest.mark.timeout(900)] if slow else []
+            marks = [pytest.mark.slow, pytest.mark.timeout(900)] if slow else []
             yield pytest.param(group, name, id=f"{group}: {name}", marks=marks)
 
 

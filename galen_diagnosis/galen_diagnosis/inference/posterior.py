@@ -69,6 +69,7 @@ def load_settings() -> Settings:
 
 _INPUTS_FREE = 0.8
 _FULL, _REST = 30.0, 0.1
+_AS_LIKELY = 10.0
 
 
 @dataclass(frozen=True)
@@ -162,10 +163,13 @@ def _excuse(every: list[Weighed], of: Weighed) -> None:
 def scored(of: Sequence[Weighed], left: float, structure: float) -> list[Scored]:
     """Hypotheses, the likeliest first, as a posterior sees them.
 
-    left: energy of the structure that the first leaves, structure: its log evidence.
+    left: energy of the structure that the first leaves, structure: its log evidence. Energies count
+    from the least of those about as likely as it: unlikely ones buy theirs by what models miss.
     """
-    least = min(one.energy for one in of)
-    found = [Scored(one.hypothesis.names, one.energy - least + left, one.occam) for one in of]
+    least = min(one.energy for one in of if one.log_bayes > of[0].log_bayes - _AS_LIKELY)
+    found = [
+        Scored(one.hypothesis.names, max(one.energy - least, 0.0) + left, one.occam) for one in of
+    ]
     return [replace(found[0], structure=structure), *found[1:]]
 
 

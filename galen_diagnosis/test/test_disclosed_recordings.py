@@ -1,0 +1,69 @@
+"""Recordings of two independent simulators, with the causes that they were made with.
+
+They lie beside the checkout, in ../shared/recordings; without them these tests skip.
+"""
+
+import json
+from pathlib import Path
+
+import pytest
+from galen_diagnosis.blind.answers import flat, read_answer
+from galen_diagnosis.diagnose import main
+from galen_sim_driver.effects.registry import identity_of
+
+RECORDINGS = Path(__file__).resolve().parents[2].parent / "shared" / "recordings"
+FOUND = (
+    *(f"disclosed/recording_{n}" for n in (359, 420, 601, 695, 942, 956)),
+    *(f"disclosed_2/recording_{n}" for n in (393, 404, 767, 824)),
+)
+MISSED = (
+    "disclosed_2/recording_224",  # a scale of 0.8 mm/m is too faint: none
+    "disclosed_2/recording_390",  # creep, which isn't listed: hysteresis with a gap, or unknown
+    "disclosed_2/recording_517",  # a hard gap: unknown, with the gap as the likeliest cause
+    "disclosed_2/recording_842",  # hysteresis of the sensor, which isn't listed: unknown
+)
+FORMER = {"tilt_zero_offset": ("joint_zero_offset", "tilt")}
+LARGEST_ERROR = 0.15
+"""Of the largest number of the same parameter: a cable's mean tension depends on its model."""
+
+
+def diagnosed(name, tmp_path):
+    """True effects by identity with their parameters, and the answer to the recording."""
+    recording = RECORDINGS / name
+    if not recording.is_dir():
+        pytest.skip(f"../shared/recordings/{name} is not here")
+    assert main([str(recording), "--output", str(tmp_path / "answer"), "--no-report"]) == 0
+    there = {}
+    for one in json.loads((recording / "truth.json").read_text())["effects"]:
+        effect, joint = FORMER.get(one["effect"], (one["effect"], None))
+        parameters = {**({"joint": joint} if joint else {}), **one["parameters"]}
+        there[identity_of(effect, parameters)] = parameters
+    return there, read_answer(tmp_path, "answer")
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("name", FOUND)
+def test_names_the_cause_and_its_size(name, tmp_path):
+    there, answer = diagnosed(name, tmp_path)
+    assert answer.named >= there.keys()
+    assert answer.verdict in (("identified", "ambiguous") if there else ("none",))
+    compared = 0
+    for effect, parameters in there.items():
+        told, true = answer.causes[effect].parameters, dict(flat(parameters))
+        sizes = {key: abs(one.value) for key, one in true.items() if not isinstance(one, str)}
+        for key in sizes.keys() & told.keys():
+            largest = max(
+                v for k, v in sizes.items() if k.partition("[")[0] == key.partition("[")[0]
+            )
+            assert told[key].value == pytest.approx(true[key].value, abs=LARGEST_ERROR * largest)
+            compared += 1
+    assert compared or not there
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("name", MISSED)
+def test_is_never_sure_of_what_is_not_there(name, tmp_path):
+    there, answer = diagnosed(name, tmp_path)
+    assert answer.verdict != "identified" or answer.named & there.keys()
