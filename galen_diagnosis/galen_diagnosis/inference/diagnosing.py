@@ -142,6 +142,8 @@ def conclude(explored: Explored, settings: Settings, say: Progress) -> Diagnosis
     plain = unknowns_alone(found.behind)
     say("held out", 0.88)
     gap = held_out_gap(observation, best, found.behind, explored.floor, say)
+    if verdict == "identified" and gap.fraction is not None and (gap.fraction.low or 0.0) < 0.0:
+        verdict = UNKNOWN  # what was fitted doesn't hold where it wasn't
     none = refine(observation, plain, (), ())
     whole = refine(observation, plain, best.parts, best.values, None, 0.0) if best.parts else none
     say("where", 0.96)

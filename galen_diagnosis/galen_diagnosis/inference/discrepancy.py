@@ -160,13 +160,16 @@ class Discrepancies:
     ) -> list[Structure]:
         """Return the evidence that each effect's size changes as another effect's would.
 
+        Less what the other effects' models may miss there (`looks_like`).
         behind: all that was fitted; shown: the effects' `signatures`.
         """
         out = []
-        for part, alone in zip(hypothesis.parts, shown, strict=True):
+        each = list(zip(hypothesis.names, shown, strict=True))
+        for k, (part, alone) in enumerate(zip(hypothesis.parts, shown, strict=True)):
             columns = _columns(alone, self._parts(part.effect))
             gain, cost = gain_and_cost(behind, columns, hypothesis.raw_rows)
             log = gain - cost - _ANOTHER_MODEL[_level(part.effect)]
+            log *= 1.0 - looks_like([*each[:k], *each[k + 1 :]], alone)
             out.append(Structure(f"size of {part.effect}, by time and load", log, 2.0 * gain))
         return out
 
