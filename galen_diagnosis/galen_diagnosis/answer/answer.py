@@ -21,8 +21,7 @@ UNKNOWN = "unknown"
 SURE = 0.9
 """Probability from which a cause counts as found."""
 NO_GAP = 0.5
-"""A gap is reported only where it is four times as likely as none: two dozen effects that are not
-there have some probability each."""
+"""A gap is reported only where one is likelier than none."""
 
 
 class Interval(NamedTuple):
