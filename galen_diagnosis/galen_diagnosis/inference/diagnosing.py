@@ -143,7 +143,7 @@ def conclude(explored: Explored, settings: Settings, say: Progress) -> Diagnosis
     say("held out", 0.88)
     gap = held_out_gap(observation, best, found.behind, explored.floor, say)
     if verdict == "identified" and gap.fraction is not None and (gap.fraction.low or 0.0) < 0.0:
-        verdict = UNKNOWN  # what was fitted doesn't hold where it wasn't
+        verdict = "unknown"  # what was fitted doesn't hold where it wasn't
     none = refine(observation, plain, (), ())
     whole = refine(observation, plain, best.parts, best.values, None, 0.0) if best.parts else none
     say("where", 0.96)
