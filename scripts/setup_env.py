@@ -32,7 +32,7 @@ def main(arguments: "list[str] | None" = None) -> int:
     parser.add_argument(
         "step",
         choices=("setup", "build", *OPTIONAL_GROUPS),
-        help="setup: .venv only; dev: with tools of tests; networks: with PyTorch; arms: with robots",
+        help="setup: .venv only; dev: and tools of tests; networks: and PyTorch; arms: and robots",
     )
     options = parser.parse_args(arguments)
     try:

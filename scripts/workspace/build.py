@@ -92,4 +92,3 @@ def build(environment: Environment) -> None:
 
 def _is_live_folder(name: str) -> bool:
     return name in _LIVE_FOLDERS or name.startswith(".") or name.endswith(".egg-info")
-

@@ -360,7 +360,7 @@ class Environment:
             done = subprocess.run(
                 command, env=self.variables(), stdout=log, stderr=log, check=False
             )
-        return None if done.returncode else str(own)
+        return None if done.returncode or not own.is_file() else str(own)
 
     def _write_stamp(self, interpreter: Interpreter) -> None:
         lines = [f"GALEN_ENV_KIND={'ros' if self.ros else 'pypi'}"]

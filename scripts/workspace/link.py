@@ -39,9 +39,7 @@ def link_package(folder: Path, install: Path) -> None:
         module, _, function = reference.partition(":")
         path = install / "lib" / name / executable
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(
-            EXECUTABLE.format(python=sys.executable, module=module, function=function)
-        )
+        path.write_text(EXECUTABLE.format(python=sys.executable, module=module, function=function))
         path.chmod(0o755)
 
 
