@@ -8,6 +8,7 @@ import os
 import sys
 from distutils.core import run_setup  # setuptools brings it; the standard library had it to 3.11
 from pathlib import Path
+from typing import Any
 
 # A path with blanks, or a long one, is none for `#!`.
 EXECUTABLE = """#!/bin/sh
@@ -22,7 +23,7 @@ sys.exit(module.{function}())
 def link_package(folder: Path, install: Path) -> None:
     """Install the package in ``folder``."""
     os.chdir(folder)
-    found = run_setup("setup.py", stop_after="init")
+    found: Any = run_setup("setup.py", stop_after="init")
     name = found.get_name()
     for target, files in found.data_files:
         for file in files:
