@@ -1,7 +1,7 @@
 # `make demo` and `make test` do all they need; `make help` lists the rest.
 SHELL := /bin/bash
 .DEFAULT_GOAL := help
-.PHONY: help setup networks browser build test test-slow test-soak lint demo bench arms soak blind blind-short clean
+.PHONY: help setup dev networks browser build test test-slow test-soak lint demo bench arms soak blind blind-short clean
 
 STARTER ?= python3
 SETUP = $(STARTER) scripts/setup_env.py
@@ -23,6 +23,9 @@ help: ## list the targets
 setup: ## make .venv: on the sourced ROS 2 Jazzy, or else with ROS 2 from PyPI
 	@$(SETUP) setup
 
+dev: ## add to .venv what tests and checks the packages
+	@$(SETUP) dev
+
 networks: ## add PyTorch to .venv (5 GB): deflection's networks need it, nothing else does
 	@$(SETUP) networks
 
@@ -32,16 +35,16 @@ browser: ## install Debian's Chromium, which the panel's tests click through the
 build: ## set up, then build the packages
 	@$(SETUP) build
 
-test: build ## run the quick tests
+test: build dev ## run the quick tests
 	@$(ENTER) && $(PYTEST) -m "not slow and not soak" $(ARGS)
 
-test-slow: build ## run the slow tests
+test-slow: build dev ## run the slow tests
 	@$(ENTER) && $(PYTEST) -m "slow and not soak" --durations 12 $(ARGS)
 
-test-soak: build ## run the long tests: a thousand kills, more made-up input (many minutes)
+test-soak: build dev ## run the long tests: a thousand kills, more made-up input (many minutes)
 	@$(ENTER) && env -u PYTHONDONTWRITEBYTECODE python -m pytest -m soak $(ARGS)
 
-lint: setup ## check style, format and types
+lint: dev ## check style, format and types
 	@.venv/bin/ruff check .
 	@.venv/bin/ruff format --check .
 	@.venv/bin/mypy
@@ -49,20 +52,20 @@ lint: setup ## check style, format and types
 demo: build ## calibrate two tools on the simulated arm and show the report's tables
 	@$(ENTER) && python -m galen_bringup.demo $(ARGS)
 
-bench: build ## measure: nodes against a bare relay, kernels, start-up, diagnosis, bags (40 min)
+bench: build dev ## measure: nodes against a bare relay, kernels, start-up, diagnosis, bags (40 min)
 	@$(ENTER) && python -m benchmarks.speed --output output/bench.json $(ARGS)
 
-arms: build ## calibrate robots that others described, a UR5 in MuJoCo, a measured Panda (20 min)
+arms: build dev ## calibrate robots that others described, a UR5 in MuJoCo, a measured Panda (20 min)
 	@$(SETUP) arms
 	@$(ENTER) && python -m benchmarks.arms $(ARGS)
 
 soak: build ## run the nodes for long: losses, memory, stamps; an hour simulated, 10 min at 1000 Hz
 	@$(ENTER) && python -m benchmarks.soak $(ARGS)
 
-blind: build ## hide causes in recordings, diagnose them, score that (an hour or more)
+blind: build dev ## hide causes in recordings, diagnose them, score that (an hour or more)
 	@$(ENTER) && python -m galen_diagnosis.blind_check run $(ARGS)
 
-blind-short: build ## the same with six recordings, always the same ones; must get them right
+blind-short: build dev ## the same with six recordings, always the same ones; must get them right
 	@$(ENTER) && python -m galen_diagnosis.blind_check run --short --seed 1
 
 clean: ## remove what was built; with ALL=1 the environment too

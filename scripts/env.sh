@@ -23,20 +23,16 @@ fi
 case $- in *u*) _galen_nounset=1 ;; *) _galen_nounset= ;; esac
 set +u
 
+_galen_prepend() {
+  eval "case \":\${$1:-}:\" in *\":$2:\"*) ;; *) export $1=\"$2\${$1:+:\$$1}\" ;; esac"
+}
 . "$_galen_root/.venv/galen_env.sh" # sets GALEN_ENV_KIND and GALEN_ROS_PREFIX
 if [ "$GALEN_ENV_KIND" = ros ]; then
   if [ -z "${ROS_DISTRO:-}" ]; then
     . "$GALEN_ROS_PREFIX/setup.$_galen_shell"
   fi
 else
-  case ":${AMENT_PREFIX_PATH:-}:" in
-    *":$_galen_root/.venv:"*) ;;
-    *) export AMENT_PREFIX_PATH="$_galen_root/.venv${AMENT_PREFIX_PATH:+:$AMENT_PREFIX_PATH}" ;;
-  esac
-  case ":${CMAKE_PREFIX_PATH:-}:" in
-    *":$_galen_root/.venv:"*) ;;
-    *) export CMAKE_PREFIX_PATH="$_galen_root/.venv${CMAKE_PREFIX_PATH:+:$CMAKE_PREFIX_PATH}" ;;
-  esac
+  _galen_prepend AMENT_PREFIX_PATH "$_galen_root/.venv"
   # Another environment's wheels may have set it: these have to put their own libraries on the path.
   unset _ROS_WHEELS_BOOTSTRAP_COMPLETE
   # Shared memory of a killed process makes Fast DDS complain in red; UDP has no such leftovers.
@@ -53,21 +49,21 @@ elif [ "${FASTRTPS_DEFAULT_PROFILES_FILE:-}" = "$_galen_root/galen_bringup/confi
 fi
 
 export VIRTUAL_ENV="$_galen_root/.venv"
-case ":$PATH:" in
-  *":$VIRTUAL_ENV/bin:"*) ;;
-  *) export PATH="$VIRTUAL_ENV/bin:$PATH" ;;
-esac
+_galen_prepend PATH "$VIRTUAL_ENV/bin"
 # Last on PATH: a real `ros2` wins over the stand-in.
 case ":$PATH:" in
   *":$_galen_root/scripts/fallback_bin:"*) ;;
   *) export PATH="$PATH:$_galen_root/scripts/fallback_bin" ;;
 esac
 
-if [ -f "$_galen_root/install/local_setup.$_galen_shell" ]; then
-  . "$_galen_root/install/local_setup.$_galen_shell"
+if [ -f "$_galen_root/install/galen_build_stamp" ]; then
+  _galen_prepend AMENT_PREFIX_PATH "$_galen_root/install"
+  _galen_prepend PYTHONPATH "$_galen_root/install/python"
+  _galen_prepend LD_LIBRARY_PATH "$_galen_root/install/lib" # the messages' type support
 else
   echo "note: nothing is built yet; run 'make build' in $_galen_root" >&2
 fi
 
 if [ -n "$_galen_nounset" ]; then set -u; fi
 unset _galen_file _galen_shell _galen_root _galen_nounset
+unset -f _galen_prepend

@@ -3,6 +3,7 @@
 
     python3 scripts/setup_env.py setup     make .venv
     python3 scripts/setup_env.py build     make .venv and build the packages
+    python3 scripts/setup_env.py dev       make .venv, and add what tests and checks the packages
     python3 scripts/setup_env.py networks  make .venv, and add PyTorch to it
     python3 scripts/setup_env.py arms      make .venv, and add descriptions of other robots to it
 
@@ -31,12 +32,11 @@ def main(arguments: "list[str] | None" = None) -> int:
     parser.add_argument(
         "step",
         choices=("setup", "build", *OPTIONAL_GROUPS),
-        help="setup: .venv only; networks: with PyTorch; arms: with descriptions of robots",
+        help="setup: .venv only; dev: and tools of tests; networks: and PyTorch; arms: and robots",
     )
-    parser.add_argument("--verbose", action="store_true", help="show all that colcon prints")
     options = parser.parse_args(arguments)
     try:
-        do(options.step, Environment(ROOT, os.environ), verbose=options.verbose)
+        do(options.step, Environment(ROOT, os.environ))
     except SetupError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
@@ -46,7 +46,7 @@ def main(arguments: "list[str] | None" = None) -> int:
     return 0
 
 
-def do(step: str, environment: Environment, *, verbose: bool) -> None:
+def do(step: str, environment: Environment) -> None:
     """Make `.venv` where it is not ready, then go on in it.
 
     A build and the installation of an optional group may go side by side; while either does, no
@@ -57,18 +57,18 @@ def do(step: str, environment: Environment, *, verbose: bool) -> None:
         with shared(lock):
             if environment.is_ready():
                 with exclusive(ROOT / f".workspace.{step}.lock"):
-                    go_on(step, environment, verbose=verbose)
+                    go_on(step, environment)
                 return
         with exclusive(lock):
             environment.make()
 
 
-def go_on(step: str, environment: Environment, *, verbose: bool) -> None:
+def go_on(step: str, environment: Environment) -> None:
     """Do what comes after `.venv`."""
     if step in OPTIONAL_GROUPS:
         environment.add(step)
     elif step == "build":
-        build(environment, verbose=verbose)
+        build(environment)
 
 
 if __name__ == "__main__":

@@ -10,10 +10,12 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import signal
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +34,8 @@ from galen_ros.command import (
     whole,
 )
 from matplotlib.figure import Figure
-from rich.console import Console
+from rich.console import Console, Group
+from rich.live import Live
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
@@ -56,6 +59,14 @@ REPORT_RMSE = {
 }
 """Tables 1 and 2 of the 2019 report, on the real arm: RMSE (6,), N and N.m."""
 
+PANEL = "http://127.0.0.1:8080/"
+NEXT = (
+    "ros2 run galen_gravcomp evaluate bags/free_motion --tool bags/tools/retractor.json",
+    "python -m galen_diagnosis.simulated_recording tilt --output tilt && "
+    "ros2 run galen_diagnosis diagnose tilt --output found",
+    "ros2 run galen_bringup preflight --sensor-frame tool0   # with your arm's driver running",
+)
+
 
 def run_demo(options: argparse.Namespace, console: Console) -> dict[str, Any]:
     """Do it all and return the result as JSON has it, SI units; raises GalenError."""
@@ -64,21 +75,26 @@ def run_demo(options: argparse.Namespace, console: Console) -> dict[str, Any]:
     figures = output / "figures"
     figures.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng(options.seed)
-    sweep = options.sweep
-    sweep = [] if sweep is None else ["--iters-t", str(sweep[0]), "--iters-r", str(sweep[1])]
+    sweep = ["--iters-t", str(options.sweep[0]), "--iters-r", str(options.sweep[1])]
     tools: dict[str, Any] = {}
     with ros_world(), Processes(output / "logs") as processes:
         start_suite(processes, output / "tools", float(options.speed), options.seed)
         console.print(
             "driver, compensation and calibration run as processes of their own", style="dim"
         )
+        if options.panel:
+            show = ["--show"] if os.environ.get("DISPLAY") else []
+            folders = ["--tools-dir", str(output / "tools"), "--output-dir", str(output / "panel")]
+            processes.start("galen_panel", "panel", [*folders, *show])
+            console.print(f"panel, until the demonstration ends: {PANEL}")
         for tool in TOOLS:
             print(f"calibrating the {tool} through the action:", file=sys.stderr)
             calibration = calibrate(processes, tool, sweep)
-            with connected_arm(processes) as arm, _progress(console) as progress:
+            with connected_arm(processes) as arm, _live(console, started) as (progress, on_pose):
                 arm.set_tool(tool)
                 poses = random_poses(options.poses, rng)
-                readings = visit(arm, poses, AVERAGE_S, progress, f"{tool}: poses not seen before")
+                label = f"{tool}: poses not seen before"
+                readings = visit(arm, poses, AVERAGE_S, progress, label, on_pose)
                 tools[tool] = _tool_result(tool, calibration, readings)
                 plot_compensation(tool, readings, figures / f"{tool}_compensation.png")
                 if tool == list(TOOLS)[-1]:
@@ -122,9 +138,35 @@ def _tool_result(tool: str, calibration: dict[str, Any], readings: PoseReadings)
     }
 
 
-def _progress(console: Console) -> Progress:
+@contextmanager
+def _live(
+    console: Console, started_s: float
+) -> Iterator[tuple[Progress, Callable[[np.ndarray, np.ndarray], None]]]:
+    """Show progress and the last pose's wrenches in place; off a terminal, plain lines."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    return Progress(*columns, TimeElapsedColumn(), console=console)
+    progress = Progress(*columns, TimeElapsedColumn(), console=console)
+    squares: list[np.ndarray] = []
+
+    with Live(progress, console=console, refresh_per_second=4) as live:
+
+        def on_pose(raw: np.ndarray, compensated: np.ndarray) -> None:
+            if not squares:
+                seconds = time.monotonic() - started_s
+                console.print(f"first compensated wrench {seconds:.0f} s after the start")
+            squares.append(compensated**2)
+            if not console.is_terminal:
+                return
+            table = Table("axis", "unit", "raw", "compensated", "root mean square")
+            rmse = np.sqrt(np.mean(squares, axis=0))
+            for axis, unit, scale, *values in zip(
+                WRENCH_AXES, _UNITS, _SCALE, raw, compensated, rmse, strict=True
+            ):
+                table.add_row(axis, unit, *(f"{scale * value:8.4f}" for value in values))
+            live.update(Group(progress, table))
+
+        yield progress, on_pose
+    if not console.is_terminal:
+        console.print()  # Live ends without one there
 
 
 def print_report(result: dict[str, Any], console: Console) -> None:
@@ -178,7 +220,9 @@ def print_report(result: dict[str, Any], console: Console) -> None:
     console.print("figures:")
     for figure in result["figures"]:
         console.print(f"  {figure}", soft_wrap=True)
-    console.print(f"took {result['wall_s']:.0f} s")
+    console.print(f"took {result['wall_s']:.0f} s; next, after `source scripts/env.sh`:")
+    for command in NEXT:
+        console.print(f"  {command}", soft_wrap=True)
 
 
 def _millimetres(vector: Sequence[float] | np.ndarray) -> str:
@@ -232,14 +276,15 @@ def build_parser() -> argparse.ArgumentParser:
         "--output", default="output/demo", metavar="DIR", help="tools, figures and logs go here"
     )
     parser.add_argument(
-        "--poses", type=whole(10), default=200, help="poses to visit with each tool (default 200)"
+        "--poses", type=whole(10), default=40, help="poses to visit with each tool (default 40)"
     )
     parser.add_argument(
         "--sweep",
         type=whole(3),
         nargs=2,
+        default=(4, 6),
         metavar=("TILTS", "ROLLS"),
-        help="poses of a sweep; fewer are quicker and tell less (default 7 8)",
+        help="poses of a sweep; fewer are quicker and tell less (default 4 6)",
     )
     parser.add_argument(
         "--speed",
@@ -250,6 +295,9 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--seed", type=whole(0), default=2019, help="of noise and poses (default 2019)"
+    )
+    parser.add_argument(
+        "--panel", action="store_true", help=f"serve the operator's page meanwhile, at {PANEL}"
     )
     add_json(parser)
     return parser

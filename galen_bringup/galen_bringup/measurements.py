@@ -8,6 +8,7 @@ distance of the tip from where the first run had it at the same time of the traj
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -85,10 +86,16 @@ def random_poses(count: int, rng: np.random.Generator) -> Array:
 
 
 def visit(
-    arm: ArmClient, poses: Array, average_s: float, progress: Progress, label: str
+    arm: ArmClient,
+    poses: Array,
+    average_s: float,
+    progress: Progress,
+    label: str,
+    on_pose: Callable[[Array, Array], None] | None = None,
 ) -> PoseReadings:
     """Go to each of poses (n, 5), wait until the arm stands there, average both wrenches.
 
+    After each pose ``on_pose`` is called with both averages (6,), raw and compensated.
     A pose that was not still, or had no compensated wrench, is skipped and named. Raises GalenError
     when the arm does not get somewhere.
     """
@@ -102,6 +109,8 @@ def visit(
                 outcome = _visit_one(arm, target, average_s)
             outcomes.append(outcome)
             progress.advance(task)
+            if on_pose is not None and not isinstance(outcome, str):
+                on_pose(outcome[0].wrench, outcome[1].wrench)
     for number, outcome in enumerate(outcomes):
         if isinstance(outcome, str):
             skipped.append(f"pose {number + 1}: {outcome}")

@@ -1,18 +1,16 @@
-"""Builds the workspace with colcon, only when something that the build copies has changed."""
+"""Builds the workspace, only when something that the build copies has changed."""
 
 from __future__ import annotations
 
 import hashlib
 import os
 import shutil
-import subprocess
-import time
 from pathlib import Path
 
 from .environment import Environment
-from .machine import SetupError
+from .machine import Progress, SetupError
 
-# With --symlink-install an edit in these folders or of a .py file needs no build.
+# The packages are linked: an edit in these folders or of a .py file needs no build.
 _LIVE_SUFFIXES = (".py", ".pyc", ".md")
 _LIVE_FOLDERS = ("test", "__pycache__")
 # Read by the build itself, so their text counts; of any other file only that it is there.
@@ -41,73 +39,56 @@ def source_key(root: Path) -> str:
     return digest.hexdigest()
 
 
-def build(environment: Environment, *, verbose: bool = False) -> None:
-    """Build all packages, unless nothing has changed since the last good build.
+def build(environment: Environment) -> None:
+    """Compile the messages and link the packages, unless nothing has changed since.
 
     Raises:
-        SetupError: colcon fails; the message names the package and its log.
+        SetupError: a step fails; the message names it and the log.
 
     """
     root = environment.root
-    stamp = root / "install" / "galen_build_stamp"
+    build_folder, install = root / "build", root / "install"
+    stamp = install / "galen_build_stamp"
     environment_key = (environment.path / "galen_env.json").read_text(encoding="utf-8")
     environment_key = hashlib.sha256(environment_key.encode()).hexdigest()
     key = f"{environment_key}\n{source_key(root)}\n"
     old = stamp.read_text(encoding="utf-8") if stamp.is_file() else ""
     if old == key:
         return
-    stamp.unlink(missing_ok=True)
-    packages = find_packages(root)
     if old.split("\n")[0] != environment_key:
         # Built for another Python or ROS: CMake's cache would keep that one.
-        for name in ("build", "install"):
-            shutil.rmtree(root / name, ignore_errors=True)
-    _remove_gone(root, set(packages))
-    print(f"Building {len(packages)} packages ...", flush=True)
-    started = time.monotonic()
-    command = [str(environment.python), "-m", "colcon", "build", "--symlink-install"]
-    command += ["--cmake-args", f"-DPython3_EXECUTABLE={environment.python}"]
-    command += ["-DBUILD_TESTING=OFF", "--no-warn-unused-cli"]
+        shutil.rmtree(build_folder, ignore_errors=True)
+    shutil.rmtree(install, ignore_errors=True)
+    (install / "python").mkdir(parents=True)
+    build_folder.mkdir(exist_ok=True)
+    for folder in (build_folder, install):  # for who builds the clone with colcon, too
+        (folder / "COLCON_IGNORE").touch()
     log = root / "log" / "build.log"
     log.parent.mkdir(exist_ok=True)
-    with log.open("w", encoding="utf-8") as file:
-        output = None if verbose else file
-        env = environment.variables()
-        flags = env.get("MAKEFLAGS", "")
-        if "-j" not in flags and "--jobs" not in flags:
-            # colcon would add -l, and the compiler wait while anything else is at work.
-            env["MAKEFLAGS"] = f"{flags} -j{os.cpu_count() or 1}".strip()
-        done = subprocess.run(command, cwd=root, env=env, stdout=output, stderr=output, check=False)
-    if done.returncode:
-        raise SetupError(_explain(root, log))
+    log.write_text("", encoding="utf-8")
+    messages = build_folder / "galen_msgs"
+    configure = ["cmake", "-S", str(root / "galen_msgs"), "-B", str(messages)]
+    configure += [f"-DCMAKE_INSTALL_PREFIX={install}", "-DPYTHON_INSTALL_DIR=python"]
+    configure += [f"-DPython3_EXECUTABLE={environment.python}", "-DBUILD_TESTING=OFF"]
+    # An installed ROS has recorders and tools in C++, and may have another middleware.
+    configure.append(f"-DPYTHON_ONLY={'OFF' if environment.ros else 'ON'}")
+    jobs = str(os.cpu_count() or 1)
+    link = Path(__file__).with_name("link.py")
+    steps = {
+        "configuring galen_msgs": configure,
+        "compiling galen_msgs": ["cmake", "--build", str(messages), "-j", jobs, "-t", "install"],
+        "linking the packages": [str(environment.python), str(link), str(root)],
+    }
+    with Progress("Compiling the messages, linking the packages") as progress:
+        for name, command in steps.items():
+            code, text = progress.run(command, environment.variables(), log)
+            if code:
+                if "No space left on device" in text:
+                    raise SetupError(f"the disk is full: free some space; see {log}")
+                print("\n" + "\n".join(text.splitlines()[-20:]), flush=True)
+                raise SetupError(f"{name} failed; see {os.path.relpath(log, root)}")
     stamp.write_text(key, encoding="utf-8")
-    print(f"Built after {time.monotonic() - started:.0f} s.", flush=True)
 
 
 def _is_live_folder(name: str) -> bool:
     return name in _LIVE_FOLDERS or name.startswith(".") or name.endswith(".egg-info")
-
-
-def _remove_gone(root: Path, packages: set[str]) -> None:
-    """Remove what was built of packages that are no longer there."""
-    for parent in (root / "build", root / "install"):
-        for folder in parent.iterdir() if parent.is_dir() else ():
-            if folder.is_dir() and folder.name not in packages:
-                shutil.rmtree(folder)
-
-
-def _explain(root: Path, log: Path) -> str:
-    """Return one line on a failed build, and print the end of the failing package's log."""
-    text = log.read_text(encoding="utf-8", errors="replace")
-    if "No space left on device" in text:
-        return f"the disk is full: free some space; see {log}"
-    failed = [line.split()[2] for line in text.splitlines() if line.startswith("Failed   <<<")]
-    if not failed:
-        last = [line for line in text.splitlines() if line.strip()]
-        return f"colcon failed ({last[-1].strip() if last else 'no output'}); see {log}"
-    detail = root / "log" / "latest_build" / failed[0] / "stdout_stderr.log"
-    if detail.is_file():
-        lines = detail.read_text(encoding="utf-8", errors="replace").splitlines()
-        print("\n".join(lines[-20:]), flush=True)
-        log = detail
-    return f"building {failed[0]} failed; see {os.path.relpath(log, root)}"

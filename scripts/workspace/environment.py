@@ -13,20 +13,34 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from . import machine
-from .machine import Interpreter, Ros, SetupError, choose, find_ros
+from .machine import Interpreter, Progress, Ros, SetupError, choose, find_ros
 
-LAYOUT = 1  # raise it when an environment made by older code is no longer good
+LAYOUT = 2  # raise it when an environment made by older code is no longer good
 RCLPY_VERSION = "7.1.6"  # Jazzy's; a later one is another distribution
-GROUPS = ("runtime", "dev", "build", "ros")
+GROUPS = ("runtime", "build", "ros")
 # What each must be able to import, and the room that it takes with its download.
 OPTIONAL_GROUPS = {
+    "dev": ("import hypothesis, mujoco, pytest, s3fs", 500_000_000),
     "networks": ("import torch", 9_000_000_000),
     "arms": ("import importlib.metadata as m; m.files('example-robot-data')[0]", 700_000_000),
 }
 STAMP_NAME = "galen_env.json"
 # Always ours, also where ROS's Debian packages bring another version: what tests and checks.
-PINNED_WITH_ROS = "dev"
-SETUPTOOLS_LIMIT = 80  # from here on there is no `develop`, which --symlink-install needs
+ALWAYS_OURS = "dev"
+# pip's settings that uv has under another name; uv knows no file of pip's.
+_UV_NAMES = {
+    "index-url": "UV_DEFAULT_INDEX",
+    "extra-index-url": "UV_INDEX",
+    "find-links": "UV_FIND_LINKS",
+    "no-index": "UV_NO_INDEX",
+    "trusted-host": "UV_INSECURE_HOST",
+    "timeout": "UV_HTTP_TIMEOUT",
+    "default-timeout": "UV_HTTP_TIMEOUT",
+    "retries": "UV_HTTP_RETRIES",
+    "no-cache-dir": "UV_NO_CACHE",
+    "cert": "SSL_CERT_FILE",
+    "proxy": "ALL_PROXY",
+}
 
 _INSTALLED = """
 import importlib.metadata as m, json
@@ -50,21 +64,21 @@ def normal_name(name: str) -> str:
 
 
 def read_pins(path: Path) -> dict[str, str]:
-    """Return the versions of a lock file by name.
+    """Return the entries of a lock file, ``version --hash=... --hash=...``, by name.
 
     Raises:
-        SetupError: a line is not ``name==version``.
+        SetupError: an entry is not ``name==version`` with at least one hash.
 
     """
     pins = {}
-    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
-        text = line.split("#")[0].strip()
-        if not text:
+    text = path.read_text(encoding="utf-8").replace("\\\n", " ")
+    for line in (line.split("#")[0].strip() for line in text.splitlines()):
+        if not line:
             continue
-        name, equals, version = text.partition("==")
-        if not equals or not version:
-            raise SetupError(f"{path}:{number}: '{text}' is not name==version")
-        pins[normal_name(name)] = version
+        name, equals, entry = line.partition("==")
+        if not equals or " --hash=sha256:" not in entry:
+            raise SetupError(f"{path}: '{line[:60]}' is not name==version with a hash")
+        pins[normal_name(name)] = " ".join(entry.split())
     return pins
 
 
@@ -85,14 +99,26 @@ def to_install(
     """
     if ros is None:
         return {name: version for group in GROUPS for name, version in pins[group].items()}
-    present = {normal_name(name): version for name, version in installed.items()}
-    major = re.match(r"\d+", present.get("setuptools", ""))
-    if major and int(major.group()) >= SETUPTOOLS_LIMIT:
-        del present["setuptools"]
-    wanted = dict(pins[PINNED_WITH_ROS])
-    for group in ("runtime", "build"):
-        wanted.update((n, v) for n, v in pins[group].items() if n not in present)
-    return wanted
+    present = {normal_name(name) for name in installed}
+    pinned = {**pins["runtime"], **pins["build"]}
+    return {name: version for name, version in pinned.items() if name not in present}
+
+
+def uv_settings(pip_config: str, environ: Mapping[str, str]) -> dict[str, str]:
+    """Return as variables of uv what ``pip config list`` printed; those in ``environ`` win."""
+    lines = [re.fullmatch(r"(.+)\.([a-z-]+)='(.*)'", line) for line in pip_config.splitlines()]
+    sections = ("global", "install", ":env:")  # the later wins, as in pip
+    found = sorted(
+        (sections.index(line[1]), line[2], line[3])
+        for line in lines
+        if line and line[1] in sections and line[2] in _UV_NAMES
+    )
+    settings = {}
+    for _, name, value in found:
+        # Lists: uv has commas between links, and both have blanks elsewhere.
+        words = value.replace("\\n", " ").split()
+        settings[_UV_NAMES[name]] = ("," if name == "find-links" else " ").join(words)
+    return {name: value for name, value in settings.items() if name not in environ}
 
 
 def explain_pip(log: str) -> str:
@@ -131,6 +157,7 @@ def repair_wheels(prefix: Path, python_include: str, numpy_include: str) -> int:
         fixed = _NUMPY.sub(lambda _: numpy_include, text)
         fixed = _PYTHON.sub(lambda _: python_include, fixed)
         if fixed != text:
+            path.unlink()  # else it would change in uv's cache, too, to which it is a hard link
             path.write_text(fixed, encoding="utf-8")
             changed += 1
     return changed
@@ -183,7 +210,7 @@ class Environment:
         self._remove_old()
         machine.check_disk(self.root)
         origin = f"the ROS 2 in {self.ros.prefix}" if self.ros else "PyPI"
-        print(f"Making .venv: Python {interpreter.version}, ROS 2 from {origin} ...", flush=True)
+        print(f"Making .venv: Python {interpreter.version}, ROS 2 from {origin}", flush=True)
         started = time.monotonic()
         self.log.parent.mkdir(exist_ok=True)
         self.log.write_text("", encoding="utf-8")
@@ -206,22 +233,19 @@ class Environment:
             return
         check, needed_bytes = OPTIONAL_GROUPS[group]
         machine.check_disk(self.root, needed_bytes)
-        print(f"Adding what {path.relative_to(self.root)} names to .venv ...", flush=True)
-        started = time.monotonic()
         self.log.parent.mkdir(exist_ok=True)
         stamp.unlink(missing_ok=True)
         pins = read_pins(path)
-        present = {normal_name(name) for name in json.loads(self._ask(_INSTALLED))}
-        if self.ros is not None:  # what it brings, its packages were built with
+        if self.ros is not None and group != ALWAYS_OURS:  # what it brings, it was built with
+            present = {normal_name(name) for name in json.loads(self._ask(_INSTALLED))}
             pins = {name: version for name, version in pins.items() if name not in present}
-        self._pip(pins, len(pins))
+        self._install(pins)
         self._run(
             [str(self.python), "-c", check],
             self.variables(),
             f"{path.name} was installed, but a package in it does not import",
         )
         stamp.write_bytes(path.read_bytes())
-        print(f"Added after {time.monotonic() - started:.0f} s.", flush=True)
 
     def variables(self) -> dict[str, str]:
         """Return the environment variables to run commands of the environment with."""
@@ -257,9 +281,8 @@ class Environment:
         installed = json.loads(self._ask(_INSTALLED)) if self.ros else {}
         wanted = to_install(pins, installed, self.ros)
         # Packages without a wheel are built with this setuptools, not with any newer one.
-        first = {n: v for n, v in wanted.items() if n == "setuptools"}
-        self._pip(first, len(wanted))
-        self._pip({n: v for n, v in wanted.items() if n not in first}, len(wanted))
+        self._install({n: v for n, v in wanted.items() if n == "setuptools"})
+        self._install({n: v for n, v in wanted.items() if n != "setuptools"})
 
         if self.ros is None:
             python_include, numpy_include = self._ask(_INCLUDES).split("\n")
@@ -295,24 +318,49 @@ class Environment:
             last = self.log.read_text(encoding="utf-8").strip().splitlines()[-1]
             raise SetupError(f"{failure} ({last.strip()}); see {self.log}")
 
-    def _pip(self, pins: Mapping[str, str], total: int) -> None:
+    def _install(self, pins: Mapping[str, str]) -> None:
+        """Install ``pins`` and nothing else: with uv, or else with pip, which is slower."""
         if not pins:
             return
-        command = [str(self.python), "-m", "pip", "install", "--no-deps", "--no-build-isolation"]
-        command += ["--disable-pip-version-check", "--no-input", "--progress-bar", "off"]
-        # Python compiles what is imported when it is; to compile all takes a quarter of the time.
-        command += ["--no-compile"]
-        command += [f"{name}=={version}" for name, version in pins.items()]
-        print(f"  fetching {len(pins)} of {total} packages ...", flush=True)
-        with self.log.open("a+", encoding="utf-8") as log:
-            begin = log.seek(0, os.SEEK_END)
+        wanted = self.path / "galen_wanted.txt"
+        wanted.write_text("".join(f"{name}=={pin}\n" for name, pin in pins.items()), "utf-8")
+        options = ["install", "--no-deps", "--no-build-isolation", "-r", str(wanted)]
+        env = self.variables()
+        uv = self._uv()
+        with Progress(f"Fetching {len(pins)} packages") as progress:
+            if uv:
+                config = subprocess.run(
+                    [str(self.python), "-m", "pip", "config", "list"],
+                    env=env,
+                    capture_output=True,
+                    text=True,
+                    check=False,
+                )
+                command = [uv, "pip", *options, "--python", str(self.python)]
+                settings = uv_settings(config.stdout, env)
+                if not progress.run(command, {**env, **settings}, self.log)[0]:
+                    return
+            # Python compiles what is imported when it is; to compile all takes a quarter of the
+            # time.
+            quiet = ["--disable-pip-version-check", "--no-input", "--progress-bar", "off"]
+            command = [str(self.python), "-m", "pip", *options, *quiet, "--no-compile"]
+            code, text = progress.run(command, env, self.log)
+        if code:
+            raise SetupError(f"{explain_pip(text)}; see {self.log}")
+
+    def _uv(self) -> str | None:
+        """Return the path of uv: the one on PATH, or the environment's, installed if it can be."""
+        own = self.path / "bin" / "uv"
+        if found := shutil.which("uv", path=self.variables()["PATH"]):
+            return found
+        command = [str(self.python), "-m", "pip", "install", "--quiet", "--no-deps"]
+        command += ["--disable-pip-version-check", "--no-input", "--only-binary", ":all:"]
+        command += ["-r", str(self.root / "requirements" / "uv.txt")]
+        with self.log.open("a", encoding="utf-8") as log:
             done = subprocess.run(
                 command, env=self.variables(), stdout=log, stderr=log, check=False
             )
-            log.seek(begin)
-            text = log.read()
-        if done.returncode:
-            raise SetupError(f"{explain_pip(text)}; see {self.log}")
+        return None if done.returncode or not own.is_file() else str(own)
 
     def _write_stamp(self, interpreter: Interpreter) -> None:
         lines = [f"GALEN_ENV_KIND={'ros' if self.ros else 'pypi'}"]

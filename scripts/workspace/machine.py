@@ -10,8 +10,9 @@ import re
 import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,6 +29,45 @@ _TOOLS = (
 
 class SetupError(Exception):
     """Set-up or build cannot go on; the message says in one line why, and the remedy."""
+
+
+class Progress:
+    """One line on what goes on; on a terminal the seconds are counted in it."""
+
+    def __init__(self, title: str) -> None:
+        """Print the line's begin."""
+        self._title = title
+        self._started = time.monotonic()
+
+    def __enter__(self) -> Progress:
+        """Begin the line."""
+        print(f"{self._title} ...", end="" if sys.stdout.isatty() else "\n", flush=True)
+        return self
+
+    def __exit__(self, kind: object, *_: object) -> None:
+        """End the line with how long it took."""
+        start = "\r" if sys.stdout.isatty() else ""
+        end = "failed after" if kind else "done in"
+        print(f"{start}{self._title}: {end} {time.monotonic() - self._started:.0f} s", flush=True)
+
+    def run(
+        self, command: list[str], env: Mapping[str, str], log: Path, folder: Path | None = None
+    ) -> tuple[int, str]:
+        """Run ``command``; returns its exit code, and its output, which is added to ``log``."""
+        with log.open("a+", encoding="utf-8", errors="replace") as file:
+            begin = file.seek(0, os.SEEK_END)
+            process = subprocess.Popen(command, env=dict(env), cwd=folder, stdout=file, stderr=file)
+            try:
+                while process.poll() is None:
+                    with suppress(subprocess.TimeoutExpired):
+                        process.wait(1.0)
+                    if sys.stdout.isatty():
+                        seconds = time.monotonic() - self._started
+                        print(f"\r{self._title} ... {seconds:.0f} s", end="", flush=True)
+            finally:
+                process.kill()
+            file.seek(begin)
+            return process.returncode, file.read()
 
 
 def check_tools(environ: Mapping[str, str]) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from galen_model.arm.galen import WRENCH_AXES
@@ -426,8 +426,15 @@ def data_words(recording: DiagnosticRecording) -> tuple[tuple[str, str], ...]:
         ("arm", recording.arm.name),
         ("calibration file", f"{tool.tool}, of {tool.calibrated_at}"),
         ("nominal model", recording.nominal),
-        ("program", f"galen_diagnosis {version('galen_diagnosis')}"),
+        ("program", f"galen_diagnosis {_version()}"),
     )
+
+
+def _version() -> str:
+    try:
+        return version("galen_diagnosis")
+    except PackageNotFoundError:  # by `pip install .` all packages are one distribution
+        return version("galen")
 
 
 def _capital(text: str) -> str:
