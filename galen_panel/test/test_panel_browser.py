@@ -230,7 +230,7 @@ def test_an_evaluation_is_begun_seen_in_another_browser_and_read(page, second_br
     second_browser.says("jobs", "done", patience_s=2 * PATIENCE_S)
     second_browser.click("job-1-report")
     # The active tool is the pointer, and the retractor was on the arm.
-    second_browser.says("report-verdict", "Another load")
+    second_browser.says("report-verdict", "The load is another one than calibrated")
     assert "+140.0" in second_browser.text("report-sentence")
     picture = "return document.querySelector('[data-testid=report] img').naturalWidth > 500"
     second_browser.wait(lambda: second_browser.script(picture), "the picture")

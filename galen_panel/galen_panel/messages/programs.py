@@ -45,15 +45,14 @@ class Program:
     offers: str = ""
     needed: bool = False
 
-    @property
-    def start(self) -> str:
-        """Command that starts it."""
-        return f"ros2 run {self.package} {self.executable}"
+    def start(self, namespace: str = "") -> str:
+        """Return the command that starts it in a namespace."""
+        remap = f" --ros-args -r __ns:=/{namespace}" if namespace else ""
+        return f"ros2 run {self.package} {self.executable}{remap}"
 
-    @property
-    def absent(self) -> str:
-        """Sentence on its absence, and what to do."""
-        return f"{self.executable} isn't running. Start it: {self.start}"
+    def absent(self, namespace: str = "") -> str:
+        """Say that it is missing, and what to do."""
+        return f"{self.executable} isn't running. Start it: {self.start(namespace)}"
 
 
 DRIVER = Program(
@@ -115,7 +114,7 @@ NAMES = {
 
 def missing(state: SuiteState, name: str) -> str:
     """Say what to do where that service or action isn't there; empty where it is."""
-    return "" if name in state.available else OFFERED_BY[name].absent
+    return "" if name in state.available else OFFERED_BY[name].absent(state.namespace)
 
 
 def title(behaviour: Behaviour) -> str:
@@ -258,9 +257,10 @@ _RANK = {NodeLevel.OK: 0, NodeLevel.WARN: 1, NodeLevel.STALE: 2, NodeLevel.ERROR
 
 
 def _absent(state: SuiteState, program: Program, report: NodeReport | None, now_s: float) -> Words:
-    start = f"Start it: {program.start}"
+    command = program.start(state.namespace)
+    start = f"Start it: {command}"
     if program is DRIVER:
-        start = f"Start the arm's driver. For a simulated arm: {program.start}"
+        start = f"Start the arm's driver. For a simulated arm: {command}"
     if program is DRIVER and report is None:
         drivers = _other_drivers(state, now_s)
         if drivers:

@@ -12,7 +12,7 @@ from nicegui import ui
 
 from galen_panel.messages import programs, texts
 from galen_panel.messages.programs import compensates, overall
-from galen_panel.page import behaviours, live, nodes, recordings, tools
+from galen_panel.page import behaviours, guide, live, nodes, recordings, tools
 from galen_panel.page.page import LOOKS, Page, pick_class, set_prop
 from galen_panel.snapshot import Asked, Behaviour, BehaviourKind, LoadedTool, SuiteState
 
@@ -30,6 +30,7 @@ _FILE_STATES = {
 _ABSENT = "gravcomp is not running"
 # A node that falls silent changes nothing in the state; only time tells.
 _PERIOD_S = 1.0
+_ANSWER_S = 5.0
 # A modal dialog of the browser's own: nothing behind it takes a click or a key, which would be
 # kept and sent later, and no other dialog or message lies above it. NiceGUI shows and hides its
 # own note of a lost connection, a small one, which says when.
@@ -73,15 +74,33 @@ def build(page: Page) -> None:
             build_lamp(page)
         build_running(page)
     with ui.tab_panels(tabs, value="Operate").classes("panel-panels"):
-        with ui.tab_panel("Operate"), ui.element("main").classes("panel-columns"):
-            tools.build(page)
-            behaviours.build(page)
+        with ui.tab_panel("Operate"):
+            guide.build(page)
+            with ui.element("main").classes("panel-columns"):
+                tools.build(page)
+                behaviours.build(page)
         with ui.tab_panel("Live"), ui.element("main").classes("panel-wide"):
             live.build(page, lambda: tabs.value == "Live")
         with ui.tab_panel("Recordings"), ui.element("main").classes("panel-wide"):
             recordings.build(page)
         with ui.tab_panel("Nodes"), ui.element("main").classes("panel-wide"):
             nodes.build(page)
+    _keep_tab(tabs)
+
+
+def _keep_tab(tabs: ui.tabs) -> None:
+    """Keep the chosen tab in the address, so that it lasts over a reload."""
+    names = {name.lower(): name for name, _ in _TABS}
+
+    async def restore() -> None:
+        chosen = await ui.run_javascript("location.hash", timeout=_ANSWER_S)
+        tabs.set_value(names.get(str(chosen).removeprefix("#"), tabs.value))
+
+    def keep() -> None:
+        ui.run_javascript(f"history.replaceState(null, '', '#{str(tabs.value).lower()}')")
+
+    tabs.on_value_change(keep)
+    ui.timer(0.0, restore, once=True)
 
 
 def build_compensation(page: Page) -> None:

@@ -46,7 +46,7 @@ class _Tools:
         page.on_change(lambda _state: self._draw())
 
     async def _new_tool(self) -> None:
-        await _new_tool(self._page)
+        await new_tool(self._page)
 
     async def _put_none(self) -> None:
         await self._page.ask(self._page.suite.activate(""), self._none)
@@ -231,7 +231,7 @@ async def _revert_tool(page: Page, name: str, button: ui.button) -> None:
         await page.ask(page.suite.revert_tool(name), button)
 
 
-async def _new_tool(page: Page) -> None:
+async def new_tool(page: Page) -> None:
     """Ask for a name and a tip, and start the calibration."""
     with dialog(page, "New tool") as shown:
         name = ui.input("Name", validation=lambda text: _name_problem(page, text or "") or None)

@@ -50,7 +50,7 @@ VERDICTS = {
     ("evaluate", "fits"): (NodeLevel.OK, "The calibration fits"),
     ("evaluate", "offset"): (NodeLevel.WARN, "An offset"),
     ("evaluate", "drift"): (NodeLevel.WARN, "The sensor drifts"),
-    ("evaluate", "load"): (NodeLevel.ERROR, "Another load"),
+    ("evaluate", "load"): (NodeLevel.ERROR, "The load is another one than calibrated"),
     ("evaluate", "changed"): (NodeLevel.ERROR, "Something changed during the recording"),
     ("evaluate", "unexplained"): (NodeLevel.ERROR, "Does not fit, and nothing explains it"),
     ("evaluate", "unknown"): (NodeLevel.WARN, "Not decidable"),

@@ -78,6 +78,8 @@ class RosThread:
         self._open: set[Reply[Any]] = set()
         self._lock = threading.Lock()
         self._stop = False
+        self.namespace = ""
+        """The node's own, without slashes at its ends, once it runs."""
         self._thread: threading.Thread | None = None
 
     def start(
@@ -135,6 +137,7 @@ class RosThread:
         try:
             node = Node(name, context=self.context)
             guard_parameter_services(node)
+            self.namespace = node.get_namespace().strip("/")
             on_beat = set_up(node)
             executor = make_executor(self.context)
             executor.add_node(node)
@@ -227,7 +230,7 @@ class Calls:
         timeout_s None: no limit.
         """
         if not client.service_is_ready():
-            done(CallError(program.absent))
+            done(CallError(program.absent(self._thread.namespace)))
             return lambda: None
         future = client.call_async(request)
         late = f"{program.executable} has not answered for {timeout_s:g} s" if timeout_s else ""
