@@ -17,7 +17,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-GROUPS = ("runtime", "dev", "build", "ros", "arms", "networks")
+GROUPS = ("runtime", "dev", "build", "ros", "docs", "arms", "networks")
 REQUIREMENTS = Path(__file__).resolve().parent.parent / "requirements"
 
 

@@ -5,6 +5,7 @@
     python3 scripts/setup_env.py build     make .venv and build the packages
     python3 scripts/setup_env.py networks  make .venv, and add PyTorch to it
     python3 scripts/setup_env.py arms      make .venv, and add descriptions of other robots to it
+    python3 scripts/setup_env.py docs      make .venv, and add what builds the documentation
 
 Any Python 3 from 3.8 on may start it; it looks for the one that the environment needs.
 """
@@ -31,7 +32,8 @@ def main(arguments: "list[str] | None" = None) -> int:
     parser.add_argument(
         "step",
         choices=("setup", "build", *OPTIONAL_GROUPS),
-        help="setup: .venv only; networks: with PyTorch; arms: with descriptions of robots",
+        help="setup: .venv only; networks: with PyTorch; arms: with descriptions of robots;"
+        " docs: with MkDocs",
     )
     parser.add_argument("--verbose", action="store_true", help="show all that colcon prints")
     options = parser.parse_args(arguments)

@@ -20,6 +20,7 @@ RCLPY_VERSION = "7.1.6"  # Jazzy's; a later one is another distribution
 GROUPS = ("runtime", "dev", "build", "ros")
 # What each must be able to import, and the room that it takes with its download.
 OPTIONAL_GROUPS = {
+    "docs": ("import mkdocs, material, mkdocstrings", 200_000_000),
     "networks": ("import torch", 9_000_000_000),
     "arms": ("import importlib.metadata as m; m.files('example-robot-data')[0]", 700_000_000),
 }
