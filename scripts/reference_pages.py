@@ -49,6 +49,7 @@ def relinked(text: str, source: str, page: str) -> str:
 
     Returns:
         The Markdown; a link to a file that has no page is only its label.
+
     """
     pages = readme_pages()
 
