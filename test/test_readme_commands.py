@@ -1,4 +1,4 @@
-"""The READMEs' commands: files that are there, marked placeholders, the nodes they need."""
+"""The READMEs', tutorials' and how-tos' commands: files that are there, marked placeholders, the nodes they need."""
 
 import re
 import shlex
@@ -13,6 +13,8 @@ READMES = sorted(
         *ROOT.glob("README.md"),
         *ROOT.glob("*/README.md"),
         *ROOT.glob("galen_*/galen_*/**/README.md"),
+        *ROOT.glob("docs/tutorials/*.md"),
+        *ROOT.glob("docs/how-to/*.md"),
     )
 )
 # Files and bags of a command: what makes them, and what takes them.
