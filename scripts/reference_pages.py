@@ -21,7 +21,7 @@ from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).resolve().parent.parent
 SECTIONS = ("tutorials", "how-to", "reference", "explanation", "results")
-OWN_SECTION = {"index.md": "", "readme.md": "tutorials", "architecture.md": "explanation"}
+OWN_SECTION = {"index.md": "", "readme.md": "", "architecture.md": "explanation"}
 LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)#\s:]+)(#[^)\s]*)?\)")
 EXECUTABLE = re.compile(r"\"(\w+) = ")
 
@@ -113,7 +113,7 @@ def api_pages() -> Iterator[tuple[str, str]]:
         modules = [path.stem for path in sorted(folder.glob("*.py")) if path.stem[0] != "_"]
         blocks = "\n".join(f"::: {name}.{module}\n" for module in modules)
         if modules:
-            yield f"reference/api/{name}.md", f"# {name}\n\n{blocks}"
+            yield f"reference/python/{name}.md", f"# {name}\n\n{blocks}"
 
 
 def reference() -> Iterator[tuple[str, str]]:
@@ -137,7 +137,7 @@ def tree(pages: list[str], folder: str) -> list[Any]:
     inside = [page for page in pages if page.startswith(f"{folder}/")]
     own = [page for page in inside if posixpath.dirname(page) == folder]
     folders = sorted({page[len(folder) + 1 :].split("/")[0] for page in inside if page not in own})
-    below: list[Any] = [{name: tree(inside, f"{folder}/{name}")} for name in folders]
+    below: list[Any] = [{name.capitalize(): tree(inside, f"{folder}/{name}")} for name in folders]
     return [*sorted(own), *below]
 
 
@@ -147,7 +147,7 @@ def on_files(files: Files, config: Any) -> Files:
         files.append(File.generated(config, page, content=text))
     pages = [file.src_uri for file in files.documentation_pages()]
     own = {page: "results" for page in pages if "/" not in page} | OWN_SECTION
-    config.nav = ["index.md"]
+    config.nav = ["index.md", {"README": "readme.md"}]
     for name in SECTIONS:
         first = sorted(page for page, section in own.items() if section == name)
         config.nav.append({name.capitalize(): [*first, *tree(pages, name)]})

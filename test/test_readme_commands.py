@@ -1,4 +1,4 @@
-"""The READMEs', tutorials' and how-tos' commands: files that are there, marked placeholders, the nodes they need."""
+"""Commands of READMEs, tutorials and how-tos: files are there or marked, nodes are named."""
 
 import re
 import shlex
