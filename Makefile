@@ -1,7 +1,7 @@
 # `make demo` and `make test` do all they need; `make help` lists the rest.
 SHELL := /bin/bash
 .DEFAULT_GOAL := help
-.PHONY: help setup dev networks browser build test test-slow test-soak lint demo bench arms soak blind blind-short clean
+.PHONY: help setup dev networks browser build test test-slow test-soak lint docs demo bench arms soak blind blind-short clean
 
 STARTER ?= python3
 SETUP = $(STARTER) scripts/setup_env.py
@@ -48,6 +48,10 @@ lint: dev ## check style, format and types
 	@.venv/bin/ruff check .
 	@.venv/bin/ruff format --check .
 	@.venv/bin/mypy
+
+docs: build ## build the documentation's site, site/index.html
+	@$(SETUP) docs
+	@$(ENTER) && NO_MKDOCS_2_WARNING=1 mkdocs build --strict $(ARGS)
 
 demo: build ## calibrate two tools on the simulated arm and show the report's tables
 	@$(ENTER) && python -m galen_bringup.demo $(ARGS)

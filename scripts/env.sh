@@ -41,7 +41,7 @@ else
 fi
 export ROS_AUTOMATIC_DISCOVERY_RANGE="${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}"
 # That range limits whom a node looks for; its ports stay open on all addresses, and who knows the
-# address gets in. Fast DDS is told to use 127.0.0.1 only. docs/security.md says how to open up.
+# address gets in. Fast DDS is told to use 127.0.0.1 only. docs/how-to/security.md says how to open up.
 if [ "$ROS_AUTOMATIC_DISCOVERY_RANGE" = LOCALHOST ] && [ -z "${ROS_STATIC_PEERS:-}" ]; then
   export FASTRTPS_DEFAULT_PROFILES_FILE="${FASTRTPS_DEFAULT_PROFILES_FILE:-$_galen_root/galen_bringup/config/fastdds_this_host.xml}"
 elif [ "${FASTRTPS_DEFAULT_PROFILES_FILE:-}" = "$_galen_root/galen_bringup/config/fastdds_this_host.xml" ]; then

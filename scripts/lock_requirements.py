@@ -12,7 +12,7 @@ from pathlib import Path
 
 from workspace.environment import read_pins
 
-GROUPS = ("uv", "runtime", "build", "ros", "dev", "arms", "networks")
+GROUPS = ("uv", "runtime", "build", "ros", "dev", "docs", "arms", "networks")
 REQUIREMENTS = Path(__file__).resolve().parent.parent / "requirements"
 
 

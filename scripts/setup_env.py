@@ -6,6 +6,7 @@
     python3 scripts/setup_env.py dev       make .venv, and add what tests and checks the packages
     python3 scripts/setup_env.py networks  make .venv, and add PyTorch to it
     python3 scripts/setup_env.py arms      make .venv, and add descriptions of other robots to it
+    python3 scripts/setup_env.py docs      make .venv, and add what builds the documentation
 
 Any Python 3 from 3.8 on may start it; it looks for the one that the environment needs.
 """
@@ -32,7 +33,8 @@ def main(arguments: "list[str] | None" = None) -> int:
     parser.add_argument(
         "step",
         choices=("setup", "build", *OPTIONAL_GROUPS),
-        help="setup: .venv only; dev: and tools of tests; networks: and PyTorch; arms: and robots",
+        help="setup: .venv only; dev: and tools of tests; docs: and MkDocs; networks: and PyTorch;"
+        " arms: and robots",
     )
     options = parser.parse_args(arguments)
     try:

@@ -1,4 +1,4 @@
-"""The READMEs' commands: files that are there, marked placeholders, the nodes they need."""
+"""Commands of READMEs, tutorials and how-tos: files are there or marked, nodes are named."""
 
 import re
 import shlex
@@ -13,6 +13,8 @@ READMES = sorted(
         *ROOT.glob("README.md"),
         *ROOT.glob("*/README.md"),
         *ROOT.glob("galen_*/galen_*/**/README.md"),
+        *ROOT.glob("docs/tutorials/*.md"),
+        *ROOT.glob("docs/how-to/*.md"),
     )
 )
 # Files and bags of a command: what makes them, and what takes them.
@@ -101,3 +103,12 @@ def test_blocks_of_commands_say_which_nodes_they_need(readme):
         starts_them = "simulation.launch.py" in whole or " sim_driver_node" in lines[0]
         said = re.search(r"# nodes: .*\b(none|\w+_node|driver|those)\b", whole)
         assert starts_them or said or "ros2 " not in whole, f"{readme}: {lines[0]}"
+
+
+PAGES = sorted({*READMES, *(str(path.relative_to(ROOT)) for path in ROOT.glob("docs/**/*.md"))})
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_links_lead_to_files(page):
+    targets = re.findall(r"\]\(([^)#\s:]+)(?:#[^)]*)?\)", (ROOT / page).read_text())
+    assert [one for one in targets if not (ROOT / page).parent.joinpath(one).exists()] == []

@@ -1,10 +1,11 @@
-"""The packages' READMEs against the code: parameters, topics, services and actions."""
+"""The reference's `docs/interfaces.yaml` against the nodes; a README for each package."""
 
 import importlib
 import re
 from pathlib import Path
 
 import pytest
+import yaml
 from galen_bags.formats.bag import open_bag
 from galen_bags.formats.writer import BagWriter, GrowingBagWriter
 from galen_bags.player import PlayerNode, PlayOptions
@@ -16,19 +17,13 @@ from galen_gravcomp.node import GravcompNode
 from galen_panel.ros.suite import RosSuite
 from galen_ros.cdr import wrench_bytes
 from galen_ros.node.testing import Harness, parameters
-from galen_ros.parameters import markdown_table
+from galen_ros.parameters import param_fields
 from galen_sim_driver.node import SimDriverNode
 from rclpy.node import Node
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = sorted(path.parent.name for path in ROOT.glob("*/package.xml"))
-MARKED = re.compile(r"<!-- parameters: ([\w.]+) -->\n(.*?)\n<!-- end -->", re.DOTALL)
-NODES = {
-    "galen_calibration_behavior": (CalibrationNode,),
-    "galen_deflection": (CollectionNode, DeflectionNode),
-    "galen_gravcomp": (GravcompNode,),
-    "galen_sim_driver": (SimDriverNode,),
-}
+INTERFACES = yaml.safe_load((ROOT / "docs" / "interfaces.yaml").read_text())
 
 
 def recorder_node(folder, **options):
@@ -42,27 +37,32 @@ def player_node(folder, **options):
     return PlayerNode(open_bag(folder / "bag"), PlayOptions(wait_for_subscribers_s=1e6), **options)
 
 
-# Nodes that need a folder to work in; they have no parameters.
-BAG_NODES = {"galen_bags": (recorder_node, player_node)}
-OVERRIDES = {"galen_sim_driver": {"speed_factor": 2.0}}  # at another speed there is /clock
-# Opened only while the node works on a goal, or for a parameter.
+NODES = {
+    "calibration_node": lambda _, **options: CalibrationNode(**options),
+    "collection_node": lambda _, **options: CollectionNode(**options),
+    "deflection_node": lambda _, **options: DeflectionNode(**options),
+    "gravcomp_node": lambda _, **options: GravcompNode(**options),
+    "sim_driver_node": lambda _, **options: SimDriverNode(**options),
+    "record": recorder_node,
+    "play": player_node,
+}
+OVERRIDES = {"sim_driver_node": {"speed_factor": 2.0}}  # at another speed there is /clock
+TRACKER = {"tracker/tool_pose", "tracker/base_pose"}
+# Opened only while the node works on a goal, for a parameter, or for a topic of the bag.
 WHILE_BUSY = {
-    "galen_calibration_behavior": {"joint_states", "wrench_raw"},
-    "galen_deflection": {
-        "joint_states", "wrench_compensated", "wrench_raw", "tracker/tool_pose",
-        "tracker/base_pose",
-    },
-    "galen_gravcomp": {"imu"},  # with the parameter motion
-    "galen_bags": {
-        "joint_states", "wrench_compensated", "tracker/tool_pose", "tracker/base_pose",
-    },
-}  # fmt: skip
+    "calibration_node": {"joint_states", "wrench_raw"},
+    "collection_node": {"joint_states", "wrench_compensated", "wrench_raw", *TRACKER},
+    "gravcomp_node": {"imu"},  # with the parameter motion
+    "record": {"joint_states", "wrench_raw", "wrench_compensated", "/clock", *TRACKER},
+    "play": {"joint_states", "wrench_compensated", *TRACKER},
+}
 # What rclpy itself gives every node, and every managed one.
 RCLPY = re.compile(
     r"^/(parameter_events|rosout)$|_parameters?(_types|_atomically)?$|type_description$"
     r"|/(change_state|get_state|get_available_(states|transitions)|get_transition_graph"
     r"|transition_event)$"
 )
+RCLPY_PARAMETERS = {"use_sim_time", "start_type_description_service"}
 
 
 @pytest.mark.parametrize("package", PACKAGES)
@@ -70,27 +70,18 @@ def test_every_package_has_a_readme(package):
     assert (ROOT / package / "README.md").read_text().startswith(f"# {package}\n")
 
 
-@pytest.mark.parametrize("package", sorted(NODES))
-def test_parameter_tables_are_what_the_code_declares(package):
-    tables = MARKED.findall((ROOT / package / "README.md").read_text())
-    assert tables, "the README marks no parameter table"
-    for name, table in tables:
-        module, cls = name.rsplit(".", 1)
-        assert table == markdown_table(getattr(importlib.import_module(module), cls)), name
+def documented(node):
+    """A node's interfaces as the reference has them: {name: type}."""
+    return {name: kind for name, kind, *_ in INTERFACES[node]["interfaces"]}
 
 
-def documented(package):
-    """The interface tables' rows, of all nodes: {name: type}."""
-    text = (ROOT / package / "README.md").read_text()
-    tables = re.findall(
-        r"^\| name \| type \| direction \| meaning \|\n\|[-|]+\|\n((?:\|.*\|\n)+)",
-        text,
-        re.MULTILINE,
-    )
-    assert tables, f"{package}: no interface table"
-    rows = [row for table in tables for row in table.splitlines()]
-    cells = [[cell.strip().strip("`") for cell in row.strip("|").split("|")] for row in rows]
-    return {row[0]: plain(row[1]) for row in cells}
+def documented_parameters(node):
+    classes = (path.rpartition(".") for path in INTERFACES[node]["parameters"])
+    return {
+        name
+        for module, _, cls in classes
+        for name in param_fields(getattr(importlib.import_module(module), cls))
+    }
 
 
 def plain(kind):
@@ -99,7 +90,7 @@ def plain(kind):
 
 
 def in_use(node, name=None):
-    """What the graph knows of a node: {name: type}, names as the README writes them.
+    """What the graph knows of a node: {name: type}, names as the reference writes them.
 
     name: of another one that it sees.
     """
@@ -126,39 +117,33 @@ def in_use(node, name=None):
     return found
 
 
-@pytest.mark.parametrize("package", sorted(NODES | BAG_NODES))
-def test_interface_tables_are_what_the_node_has(package, tmp_path):
-    values = parameters(**OVERRIDES.get(package, {}))
-    makers = BAG_NODES.get(package) or [
-        lambda _folder, kind=kind, **options: kind(**options) for kind in NODES[package]
-    ]
-    code = {}
+@pytest.mark.parametrize("name", sorted(NODES))
+def test_the_reference_has_a_nodes_interfaces_and_parameters(name, tmp_path):
+    values = parameters(**OVERRIDES.get(name, {}))
     with Harness() as harness:
-        for make in makers:
-            node = harness.add(
-                lambda context, make=make: make(
-                    tmp_path, context=context, parameter_overrides=values
-                )
-            )
-            code |= harness.wait_for(lambda node=node: in_use(node), 10.0, "the node's graph")
-            # what `ros2 param dump` does; a node's own attribute can hide rclpy's of the same name
-            held = node.get_parameters_by_prefix("").values()
-            assert {p.value is not None for p in held} == {True}
-    readme = documented(package)
-    assert code.items() <= readme.items(), "in the code, not in the README"
-    assert set(readme) - set(code) <= WHILE_BUSY.get(package, set()), "in the README alone"
+        node = harness.add(
+            lambda context: NODES[name](tmp_path, context=context, parameter_overrides=values)
+        )
+        code = harness.wait_for(lambda: in_use(node), 10.0, "the node's graph")
+        # what `ros2 param dump` does; a node's own attribute can hide rclpy's of the same name
+        held = node.get_parameters_by_prefix("")
+    assert {p.value is not None for p in held.values()} == {True}
+    assert set(held) - RCLPY_PARAMETERS == documented_parameters(name)
+    reference = documented(name)
+    assert code.items() <= reference.items(), "in the code, not in the reference"
+    assert set(reference) - set(code) <= WHILE_BUSY.get(name, set()), "in the reference alone"
 
 
-def test_the_panels_interface_table_is_what_it_has(monkeypatch):
+def test_the_reference_has_the_panels_interfaces(monkeypatch):
     with Harness() as harness:
         probe = harness.add(lambda context: Node("probe", context=context))
         monkeypatch.setenv("ROS_DOMAIN_ID", str(harness.domain_id))
-        wanted = documented("galen_panel")
+        wanted = documented("panel")
         with RosSuite(["panel"]) as suite, suite.watch():
 
             def seen():
                 names = [name for name in probe.get_node_names() if name.startswith("panel")]
                 return {key: kind for name in names for key, kind in in_use(probe, name).items()}
 
-            harness.wait_for(lambda: set(seen()) >= set(wanted), 10.0, "all that the README names")
+            harness.wait_for(lambda: set(seen()) >= set(wanted), 10.0, "all that is documented")
             assert seen() == wanted

@@ -21,6 +21,7 @@ GROUPS = ("runtime", "build", "ros")
 # What each must be able to import, and the room that it takes with its download.
 OPTIONAL_GROUPS = {
     "dev": ("import hypothesis, mujoco, pytest, s3fs", 500_000_000),
+    "docs": ("import mkdocs, material, mkdocstrings", 200_000_000),
     "networks": ("import torch", 9_000_000_000),
     "arms": ("import importlib.metadata as m; m.files('example-robot-data')[0]", 700_000_000),
 }
