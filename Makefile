@@ -49,7 +49,7 @@ lint: dev ## check style, format and types
 	@.venv/bin/ruff format --check .
 	@.venv/bin/mypy
 
-docs: build ## build the documentation's site, site/index.html
+docs: build dev ## build the documentation's site, site/index.html
 	@$(SETUP) docs
 	@$(ENTER) && NO_MKDOCS_2_WARNING=1 mkdocs build --strict $(ARGS)
 

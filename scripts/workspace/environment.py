@@ -328,7 +328,7 @@ class Environment:
         options = ["install", "--no-deps", "--no-build-isolation", "-r", str(wanted)]
         env = self.variables()
         uv = self._uv()
-        with Progress(f"Fetching {len(pins)} packages") as progress:
+        with Progress(f"Fetching {len(pins)} package{'s' if len(pins) > 1 else ''}") as progress:
             if uv:
                 config = subprocess.run(
                     [str(self.python), "-m", "pip", "config", "list"],

@@ -112,7 +112,8 @@ class _Row:
                 self._title = ui.label().classes("panel-lead")
                 self._doing = ui.label()
                 self._todo = ui.label().classes("panel-lines panel-path")
-            self.button = ui.button(on_click=lambda: act(self._name, self.button))
+            self.button: ui.button = ui.button()
+            self.button.on_click(lambda: act(self._name, self.button))
             self.button.props(f"unelevated data-testid=step-{number + 1}-go")
 
     def show(self, step: Step, number: int, now: bool) -> None:
