@@ -21,7 +21,7 @@ def main():
     output.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder, PanelWorld(folder) as world:
         link = world.start_panel(fake=True)
-        for scheme, tab in (("light", "operate"), ("light", "live"), ("dark", "live")):
+        for scheme, tab in (("light", "operate"), ("light", "live")):
             browser = Browser(world.folder, 1600, 1250, webgl=True)
             try:
                 browser.prefer(scheme)
