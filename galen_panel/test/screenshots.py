@@ -21,10 +21,10 @@ def main():
     output.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder, PanelWorld(folder) as world:
         link = world.start_panel(fake=True)
-        for scheme, tab in (("light", "operate"), ("light", "live")):
+        for tab in ("operate", "live"):
             browser = Browser(world.folder, 1600, 1250, webgl=True)
             try:
-                browser.prefer(scheme)
+                browser.prefer("light")
                 browser.open(link)
                 browser.click(f"tab-{tab}")
                 if tab == "live":
@@ -35,8 +35,7 @@ def main():
                     )
                 else:
                     browser.find("tool-pointer")
-                ending = "_dark" if scheme == "dark" else ""
-                print(browser.screenshot(output / f"panel_{tab}{ending}.png"))
+                print(browser.screenshot(output / f"panel_{tab}.png"))
             finally:
                 browser.close()
 
