@@ -48,3 +48,4 @@ def test_a_first_calibration_by_the_guide_alone(browser, tmp_path):
             "the tab to last over a reload",
             PATIENCE_S,
         )
+    browser.forgive("ERR_CONNECTION_REFUSED")

@@ -96,10 +96,9 @@ def _keep_tab(tabs: ui.tabs) -> None:
         chosen = await ui.run_javascript("location.hash", timeout=_ANSWER_S)
         tabs.set_value(names.get(str(chosen).removeprefix("#"), tabs.value))
 
-    def keep() -> None:
-        ui.run_javascript(f"history.replaceState(null, '', '#{str(tabs.value).lower()}')")
-
-    tabs.on_value_change(keep)
+    # In the browser alone: a reload right after the click finds it there.
+    keep = "(name) => history.replaceState(null, '', '#' + name.toLowerCase())"
+    tabs.on("update:model-value", js_handler=keep)
     ui.timer(0.0, restore, once=True)
 
 
