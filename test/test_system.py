@@ -21,6 +21,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_a_tool_is_calibrated_through_the_action_and_its_weight_compensated(tmp_path):
     tool = TOOLS["retractor"]

@@ -371,6 +371,7 @@ def test_detection_strength_is_where_the_posterior_turns():
     assert detection_strength(settings, "tool_mass_error", 8.0, nothing) > strength
 
 
+@pytest.mark.slow
 def test_twice_the_size_that_would_be_missed_is_found_and_half_of_it_is_not(tmp_path):
     """The mass alone, of the sweep: no tracker, no motion."""
 

@@ -42,7 +42,6 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_ppf, f_ppf
@@ -282,27 +281,34 @@ class Problem:
         self.right = np.zeros((6, parameters))
         whole = [sweeps.basis(shape) for shape in shapes]
         self.bases, self.rows, self.penalty = map(list, zip(*whole, strict=True))
-        inverses = {shape: self._inverse(*sweeps.basis(shape)[1:]) for shape in set(shapes)}
-        self.inverse = [inverses[shape] for shape in shapes]
-        self.curve_x: list[Array] = []  # M^-1 B'W X_k: (width, p)
-        self.curve_y: list[Array] = []  # M^-1 B'W y_k: (width,)
-        for channel, rows in enumerate(self.rows):
-            design, reading = sweeps.design[:, channel], sweeps.readings[:, channel]
-            onto = self.inverse[channel] @ (rows * weights[:, None]).T
-            self.curve_x.append(onto @ design)
-            self.curve_y.append(onto @ reading)
-            free = (design - rows @ self.curve_x[-1]) * weights[:, None]
-            self.information[channel] = design.T @ free
-            self.right[channel] = free.T @ reading
+        self.free = np.array([basis.free for basis in self.bases])
+        empty = np.zeros(0)
+        self.inverse: list[Array] = [empty] * 6  # M^-1: (width, width)
+        self.curve_x: list[Array] = [empty] * 6  # M^-1 B'W X_k: (width, p)
+        self.curve_y: list[Array] = [empty] * 6  # M^-1 B'W y_k: (width,)
+        for shape in dict.fromkeys(shapes):
+            self._eliminate([k for k in range(6) if shapes[k] == shape])
 
-    def _inverse(self, rows: Array, penalty: Array) -> Array:
-        """M^-1 (width, width)."""
+    def _eliminate(self, channels: list[int]) -> None:
+        """Eliminate the curves of these channels, which have one shape, all at once."""
+        rows, weights = self.rows[channels[0]], self.weights
+        weighted = (rows * weights[:, None]).T
+        moment = weighted @ rows + self.penalty[channels[0]]
         try:
-            factor = cho_factor(rows.T @ (rows * self.weights[:, None]) + penalty)
+            np.linalg.cholesky(moment)
+            inverse = np.linalg.inv(moment)
         # a sweep all of whose poses were weighted to nothing, or numbers without end
-        except (np.linalg.LinAlgError, ValueError):
+        except np.linalg.LinAlgError:
             raise IdentificationError("the poses agree on no load") from None
-        return np.asarray(cho_solve(factor, np.eye(len(penalty))))
+        onto = inverse @ weighted
+        for k in channels:
+            design, reading = self.sweeps.design[:, k], self.sweeps.readings[:, k]
+            self.inverse[k] = inverse
+            self.curve_x[k] = onto @ design
+            self.curve_y[k] = onto @ reading
+            free = (design - rows @ self.curve_x[k]) * weights[:, None]
+            self.information[k] = design.T @ free
+            self.right[k] = free.T @ reading
 
     def solve(self, sigma: Array) -> tuple[Array, Array]:
         """Moments x (p,) and their covariance (p, p)."""
@@ -334,8 +340,7 @@ class Problem:
     def freedom(self, covariance: Array, sigma: Array) -> Array:
         """Return readings less what the fit has taken of each channel, (6,)."""
         taken = np.einsum("kij,ji->k", self.information, covariance) / sigma**2
-        free = np.array([basis.free for basis in self.bases])
-        return np.asarray(np.maximum(self.count + self.sweeps.zeroed - free - taken, 1.0))
+        return np.asarray(np.maximum(self.count + self.sweeps.zeroed - self.free - taken, 1.0))
 
     def studentised(self, residuals: Array, covariance: Array, sigma: Array) -> Array:
         """Residuals (n, 6) over the root of 1 - h; of a pose without weight, of 1 + h."""

@@ -189,11 +189,12 @@ def balanced_inverse(information: Array) -> Array:
     if np.any(diagonal <= 0.0):
         raise IdentificationError("the poses agree on no load")
     balance = 1.0 / np.sqrt(diagonal)
+    both = balance[:, None] * balance
     try:
-        inverse = np.linalg.inv(information * np.outer(balance, balance))
+        inverse = np.linalg.inv(information * both)
     except np.linalg.LinAlgError:
         raise IdentificationError("the poses agree on no load") from None
-    return np.asarray(inverse * np.outer(balance, balance), dtype=np.float64)
+    return np.asarray(inverse * both, dtype=np.float64)
 
 
 def mad_scale(residuals: Array) -> Array:
