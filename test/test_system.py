@@ -58,14 +58,14 @@ def demonstrate(capfd, folder, *arguments):
 @pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_the_demonstration_calibrates_compensates_and_draws(tmp_path, capfd):
-    content = demonstrate(capfd, tmp_path, "--poses", "12", "--sweep", "4", "5")
+    content = demonstrate(capfd, tmp_path, "--poses", "10", "--sweep", "3", "5")
     assert set(content["tools"]) == set(TOOLS)
     for tool, found in content["tools"].items():
         calibration = found["calibration"]
         error_kg = abs(calibration["mass_kg"] - TOOLS[tool].load.mass_kg)
         assert error_kg < 5 * calibration["mass_std_kg"], tool
-        assert found["poses"] >= 10
-        # 12 poses tell a root mean square to 20 %; a zero from 20 poses is off in all of them
+        assert found["poses"] >= 8
+        # 10 poses tell a root mean square to 22 %; a zero from 15 poses is off in all of them
         assert np.all(np.array(found["over_noise"]) < 3.0), tool
         assert np.all(np.array(found["raw_rmse"][:3]) > 0.3), tool
     assert content["drift"]["on"]["largest_m"] < 0.05 * content["drift"]["off"]["largest_m"]

@@ -1,1 +1,1 @@
-"""Kinematics, wrench algebra, load model and calibration files of the Galen arm, free of ROS."""
+"""Kinematics, wrench algebra, load model and calibration files of any arm, free of ROS."""

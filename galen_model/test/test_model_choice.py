@@ -120,10 +120,15 @@ def test_the_choice_is_seldom_worse_than_the_plain_fit_and_often_better():
     assert np.exp(np.mean(np.log(found))) < 0.8
 
 
-@pytest.mark.slow
-@pytest.mark.timeout(900)
-def test_the_choice_over_300_sets():
-    found = ratios(range(300))
+@pytest.mark.parametrize(
+    "sets",
+    [
+        pytest.param(100, marks=[pytest.mark.slow, pytest.mark.timeout(600)]),
+        pytest.param(300, marks=[pytest.mark.soak, pytest.mark.timeout(1800)]),
+    ],
+)
+def test_the_choice_over_many_sets(sets):
+    found = ratios(range(sets))
     assert np.mean(found > 1.05) < 0.03
     assert np.exp(np.mean(np.log(found))) < 0.4
 
