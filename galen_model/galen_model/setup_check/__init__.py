@@ -1,0 +1,1 @@
+"""What people get wrong when they set an arm and its sensor up, found from still readings."""

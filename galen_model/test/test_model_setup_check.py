@@ -1,0 +1,182 @@
+"""Set-up errors are named, and a sound set-up is left alone, on simulated sweeps."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from galen_model.arm.arm import STANDARD_GRAVITY_M_S2
+from galen_model.arm.description import read_arm
+from galen_model.arm.galen import GALEN
+from galen_model.load.model import Load, gravity_wrench
+from galen_model.rotation import matrix_to_quaternion, quaternion_to_matrix, rot_z
+from galen_model.setup_check.check import check_setup
+from galen_model.setup_check.readings import StillReadings, at_angles
+
+URDF = (Path(__file__).parents[2] / "galen_bringup/urdf/six_axis.urdf").read_text()
+SIX_AXES = read_arm(URDF)
+NOISE = np.array([0.02, 0.02, 0.03, 4e-4, 4e-4, 4e-4])
+BIAS = np.array([1.0, -2.0, 3.0, 0.05, -0.02, 0.01])
+LOAD = Load(0.85, np.array([0.012, -0.007, 0.065]))
+
+
+def sweep(arm, seed=0, count=24, load=LOAD, gravity=None):
+    """Angles and readings of still poses of an arm with a load, under `gravity` in its base."""
+    rng = np.random.default_rng(seed)
+    lower, upper = arm.lower[list(arm.turning)], arm.upper[list(arm.turning)]
+    angles = rng.uniform(np.maximum(lower, -2.5), np.minimum(upper, 2.5), (count, len(lower)))
+    down = arm.direction_in_sensor(angles, arm.gravity_m_s2 if gravity is None else gravity)
+    wrench = gravity_wrench(down, load) + BIAS + NOISE * rng.normal(size=(count, 6))
+    return angles, wrench
+
+
+def reversed_reading(angles, wrench):
+    return angles, -wrench
+
+
+def mirrored_x(angles, wrench):
+    return angles, wrench * [-1, 1, 1, -1, 1, 1]
+
+
+def mirrored_fz(angles, wrench):
+    return angles, wrench * [1, 1, -1, 1, 1, 1]
+
+
+def torque_in_nmm(angles, wrench):
+    return angles, wrench * [1, 1, 1, 1e3, 1e3, 1e3]
+
+
+def in_degrees(angles, wrench):
+    return np.degrees(angles), wrench
+
+
+def reversed_joint(angles, wrench):
+    return angles * np.where(np.arange(angles.shape[1]) == 1, -1.0, 1.0), wrench
+
+
+def exchanged_joints(angles, wrench):
+    return angles[:, [0, 1, 2, 4, 3, 5]], wrench
+
+
+def exchanged_axes(angles, wrench):
+    return angles, wrench[:, [1, 2, 0, 4, 5, 3]]
+
+
+def turned_flange(angles, wrench):
+    turn = rot_z(np.radians(45.0)).T
+    return angles, np.hstack([wrench[:, :3] @ turn.T, wrench[:, 3:] @ turn.T])
+
+
+def torques_and_joint(angles, wrench):
+    return reversed_joint(*torque_in_nmm(angles, wrench))
+
+
+MISTAKES = {
+    reversed_reading: ("the reading is reversed", "negate the wrench"),
+    mirrored_x: ("fx and tx have the wrong sign", "negate fx and tx"),
+    mirrored_fz: ("fz has the wrong sign", "negate fz"),
+    torque_in_nmm: ("torques are in N.mm", "divide torques by 1000"),
+    in_degrees: ("joint angles are in degrees", "rad"),
+    reversed_joint: ("turns the other way", "reverse its sign"),
+    exchanged_joints: ("wrist_1 and wrist_2 are exchanged", "order of names"),
+    exchanged_axes: ("turned by 120.0 deg", "(fx, fy, fz) := (fz, fx, fy)"),
+    turned_flange: ("turned by 45.0 deg about -z", "description"),
+    torques_and_joint: ("torques are in N.mm, and joint", "divide torques by 1000"),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES, ids=lambda mistake: mistake.__name__)
+def test_a_mistake_is_named_with_its_remedy(mistake):
+    found = check_setup(at_angles_of(SIX_AXES, *mistake(*sweep(SIX_AXES))))
+    what, remedy = MISTAKES[mistake]
+    assert found is not None
+    named = [one for one in found.explanations if what in one.what]
+    assert named, found.sentence
+    assert remedy in named[0].remedy
+    assert named[0].fit.mass_kg == pytest.approx(0.85, abs=0.01)
+    np.testing.assert_allclose(np.abs(named[0].fit.com_m), np.abs(LOAD.com_m), atol=0.07)
+
+
+def at_angles_of(arm, angles, wrench):
+    return at_angles(wrench, angles, arm)
+
+
+@pytest.mark.parametrize(
+    ("gravity", "words", "option"),
+    [
+        ((0.0, 0.0, 1.0), "hangs from the ceiling", "--gravity 0 0 9.80665"),
+        ((1.0, 0.0, 0.0), "mounted on a wall", "--gravity 9.80665 0 0"),
+        ((np.sin(0.35), 0.0, -np.cos(0.35)), "inclined by 20", "about +y"),
+    ],
+)
+@pytest.mark.parametrize("arm", [GALEN, SIX_AXES], ids=["galen", "six_axis"])
+def test_a_mount_is_named(arm, gravity, words, option):
+    down = STANDARD_GRAVITY_M_S2 * np.array(gravity)
+    found = check_setup(at_angles_of(arm, *sweep(arm, gravity=down)))
+    assert words in found.explanations[0].what
+    assert option in found.sentence
+    expected = ["ceiling", "reversed"] if gravity[2] == 1.0 else [words]
+    assert [word for word in expected if word not in found.sentence] == []
+
+
+def test_the_ceiling_and_a_reversed_reading_are_told_apart_by_a_push():
+    found = check_setup(at_angles_of(SIX_AXES, *reversed_reading(*sweep(SIX_AXES))))
+    assert len(found.explanations) == 2
+    assert "what separates them" in found.sentence and "push the tool" in found.sentence
+
+
+def tabled(rotation, wrench):
+    gravity = np.einsum("nji,j->ni", rotation, GALEN.gravity_m_s2)
+    return StillReadings(wrench, gravity, GALEN, rotation)
+
+
+def test_orientations_of_tables_are_checked():
+    angles, wrench = sweep(SIX_AXES)
+    rotation = SIX_AXES.rotation(angles)
+    assert check_setup(tabled(rotation, wrench)) is None
+    inverse = check_setup(tabled(np.swapaxes(rotation, 1, 2), wrench))
+    assert "(inverse)" in inverse.explanations[0].what
+    order = matrix_to_quaternion(rotation)[:, [3, 0, 1, 2]]
+    swapped = check_setup(tabled(quaternion_to_matrix(order), wrench))
+    assert "order w, x, y, z" in swapped.explanations[0].what
+    in_base = np.hstack(
+        [np.einsum("nij,nj->ni", rotation, part) for part in np.split(wrench, 2, axis=1)]
+    )
+    written = check_setup(tabled(rotation, in_base))
+    assert "--wrench-frame base" in written.explanations[0].remedy
+    up = StillReadings(wrench, -SIX_AXES.gravity_in_sensor(angles), SIX_AXES)
+    assert "accelerometer" in check_setup(up).sentence
+
+
+def test_another_frame_of_the_description_is_named():
+    turned = URDF.replace(
+        "</robot>",
+        '<link name="plate"/><joint name="plate_joint" type="fixed"><parent link="ft_sensor"/>'
+        '<child link="plate"/><origin rpy="0 0 0.7"/></joint></robot>',
+    )
+    plate = read_arm(turned, sensor_frame="plate")
+    angles, wrench = sweep(plate)
+    found = check_setup(at_angles_of(read_arm(turned), angles, wrench))
+    assert any("--sensor-frame plate" in one.remedy for one in found.explanations)
+
+
+def test_a_sound_set_up_is_left_alone():
+    """Gains of 1 %, joint zeros of 4 mrad, drift, touched poses; few poses, narrow sweeps."""
+    named = []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        arm, count = (GALEN, SIX_AXES)[seed % 2], int(rng.choice([4, 5, 8, 24, 56]))
+        load = Load(rng.uniform(0.1, 2.0), rng.normal(size=3) * 0.06)
+        low, high = arm.lower[list(arm.turning)], arm.upper[list(arm.turning)]
+        width = rng.choice([0.6, 1.2, 2.5])
+        middle = rng.uniform(np.maximum(low, -2.0), np.minimum(high, 2.0))
+        angles = np.clip(middle + rng.uniform(-width, width, (count, len(low))), low, high)
+        down = arm.gravity_in_sensor(angles + 0.004 * rng.normal(size=len(low)))
+        wrench = gravity_wrench(down, load) * (1.0 + 0.01 * rng.normal(size=6)) + BIAS
+        wrench += NOISE * rng.normal(size=wrench.shape)
+        wrench += np.linspace(0.0, 1.0, count)[:, None] * 5.0 * NOISE * rng.normal(size=6)
+        if count > 12:
+            touched = rng.integers(0, count, count // 12)
+            wrench[touched] += 100.0 * NOISE * rng.normal(size=(len(touched), 6))
+        found = check_setup(at_angles_of(arm, angles, wrench))
+        named += [] if found is None else [(seed, found.sentence)]
+    assert named == []
