@@ -3,8 +3,8 @@
 Receives `joint_states`, `wrench_raw` and `robot_description` for some seconds, whatever their
 quality of service is, and pairs the samples by the code and the limits of the nodes.
 
-The sign of force is that of the mass m in f = m g + b, fitted to forces f and gravity g in the
-sensor's frame (g by the joints) over the orientations that came.
+The load, and with it signs, axes, units and the mount, is checked over the orientations that came
+(`galen_model.setup_check`).
 """
 
 from __future__ import annotations
@@ -24,6 +24,8 @@ from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN, WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
+from galen_model.setup_check.check import check_setup
+from galen_model.setup_check.readings import at_angles, fit_load
 from galen_ros.arm import add_arm, chosen_arm
 from galen_ros.cdr import JointStateError, JointWire, UnreadableError, WrenchWire
 from galen_ros.command import (
@@ -60,8 +62,9 @@ _FEWEST = 20
 # Of samples and time: so much may be lost, as at the start before the other topic's first sample.
 _TOLERATED = 0.02
 _CLOCK_OFFSET_S = 1.0
-# Gravity's direction must turn so far, and the weight be so large, to show a sign.
-_TURNED, _MASS_KG, _EXPLAINED = 0.3, 0.02, 0.5
+# Gravity's direction must turn so far, and the weight be so large, to show a load.
+_TURNED, _MASS_KG = 0.3, 0.02
+_MOST_SAMPLES = 300  # they are fitted a thousand times where nothing fits
 _CLOCKS = "stamp both by one clock (chrony, PTP), raise the joints' rate, or set max_joint_age_s"
 _ONE_DRIVER = "one publisher, and a stamp of its own for each sample"
 _REMEDIES: dict[Enum, str] = {
@@ -243,8 +246,7 @@ def sample_checks(
         paired = [one for one in results if isinstance(one, PairedWrench)]
         if len(paired) >= _FEWEST:
             at = np.array([one.joints for one in paired])
-            force = np.array([one.wrench[:3] for one in paired])
-            checks.append(sign_check(arm, at, force))
+            checks.append(setup_check(arm, at, np.array([one.wrench for one in paired])))
     return checks
 
 
@@ -285,10 +287,14 @@ def _noise_check(wrenches: Array) -> Check:
         found = f"{', '.join(dead)} the same in all {len(wrenches)} messages"
         remedy = "a live sensor has noise: is it connected and streaming?"
         return Check(_WRENCH, FIX, found, remedy)
-    # Of differences, so that slow motion is no noise.
-    noise = np.std(np.diff(wrenches, axis=0), axis=0) / np.sqrt(2.0)
+    noise = _noise(wrenches)
     force, torque = (" ".join(f"{value:.2g}" for value in part) for part in (noise[:3], noise[3:]))
     return Check(_WRENCH, OK, f"noise {force} N, {torque} N.m")
+
+
+def _noise(wrenches: Array) -> Array:
+    """Return the noise (6,) of wrenches (n, 6): of differences, so that slow motion is none."""
+    return np.asarray(np.std(np.diff(wrenches, axis=0), axis=0) / np.sqrt(2.0))
 
 
 def _pairing_checks(
@@ -307,26 +313,28 @@ def _pairing_checks(
     return checks or [Check("samples", OK, found)]
 
 
-def sign_check(arm: Arm, joints: Array, force: Array) -> Check:
-    """Check that forces (n, 3), N, follow gravity, at joints (n, k), m and rad."""
-    what = "sign of force"
-    gravity = arm.gravity_in_sensor(arm.angles(joints))
-    g, f = gravity - gravity.mean(axis=0), force - force.mean(axis=0)
-    if np.max(np.linalg.norm(g, axis=1)) < _TURNED * np.linalg.norm(arm.gravity_m_s2):
+def setup_check(arm: Arm, joints: Array, wrenches: Array) -> Check:
+    """Check that wrenches (n, 6), N and N.m, are those of a load, at joints (n, k), m and rad."""
+    what = "load"
+    some = np.linspace(0, len(joints) - 1, min(len(joints), _MOST_SAMPLES)).astype(int)
+    readings = at_angles(wrenches[some], arm.angles(joints[some]), arm)
+    spread = readings.gravity - readings.gravity.mean(axis=0)
+    if np.max(np.linalg.norm(spread, axis=1)) < _TURNED * np.linalg.norm(arm.gravity_m_s2):
         remedy = "turn the tool by 60 degrees or more against gravity meanwhile (--seconds 30)"
         return Check(what, NOTE, "not checked: the tool did not turn", remedy)
-    mass_kg = float(np.sum(g * f) / np.sum(g * g))
-    explained = 1.0 - float(np.sum((f - mass_kg * g) ** 2) / max(np.sum(f**2), 1e-300))
-    found = f"{mass_kg:.3f} kg by gravity, which explains {explained:.0%} of the force's change"
-    if np.sum(f**2) < _MASS_KG**2 * np.sum(g**2):
+    fit = fit_load(readings)
+    found = f"{fit.mass_kg:.3f} kg by gravity, residual {fit.residual[0]:.2g} N"
+    if wrong := check_setup(readings, _noise(wrenches)):
+        remedies = [f"{one.what}: {one.remedy}" for one in wrong.explanations]
+        remedy = "; or ".join(remedies)
+        if len(remedies) > 1:
+            tests = dict.fromkeys(one.test for one in wrong.explanations)
+            remedy += f". What separates them: {'; '.join(tests)}"
+        unknown = f"{arm.sensor_frame} must have the sensing element's axes; was there contact?"
+        return Check(what, FIX, wrong.trouble, remedy or unknown)
+    if fit.change[0] < _MASS_KG * np.sqrt(np.mean(spread**2)):
         remedy = "mount a tool; is the reading compensated already? The suite needs the raw one"
         return Check(what, NOTE, f"not checked: {found}", remedy)
-    if explained < _EXPLAINED:
-        remedy = "sensor_frame must have the sensing element's axes; was there contact?"
-        return Check(what, FIX, found, remedy)
-    if mass_kg < 0.0:
-        remedy = "negate the wrench in the driver: a push must read positive in its direction"
-        return Check(what, FIX, f"reversed: {found}", remedy)
     return Check(what, OK, found)
 
 

@@ -90,6 +90,11 @@ def swapped(_: JointState, wrench: WrenchStamped) -> None:
     force.x, force.y, force.z = force.z, force.x, force.y
 
 
+def turned(_: JointState, wrench: WrenchStamped) -> None:
+    for part in (wrench.wrench.force, wrench.wrench.torque):
+        part.x, part.y = part.y, -part.x
+
+
 def shifted(topic: int, seconds: int) -> Edit:
     def edit(*messages: Any) -> None:
         messages[topic].header.stamp.sec += seconds
@@ -103,7 +108,7 @@ def test_a_healthy_robot_has_nothing_to_fix_and_all_is_checked() -> None:
     text = by(checks, OK)
     assert text.count("200.0 Hz, jitter 0.00 ms") == 2 and "within limits; shoulder_pan" in text
     assert "399 of 400 wrenches" in text or "400 of 400 wrenches" in text
-    assert "noise 0.0" in text and "sign of force | ok | 0.5" in text
+    assert "noise 0.0" in text and "load | ok | 0.5" in text
 
 
 @pytest.mark.parametrize(
@@ -120,8 +125,9 @@ def test_a_healthy_robot_has_nothing_to_fix_and_all_is_checked() -> None:
         (degrees, "angles look like degrees | angles must be in rad"),
         (scaled(1.0, 1e3), "torque looks like N mm | torques must be in N.m"),
         (scaled(1e3, 1.0), "beyond sensor range | unload the sensor"),
-        (scaled(-1.0, -1.0), "reversed: -0.5"),
-        (swapped, "sensor_frame must have the sensing element's axes"),
+        (scaled(-1.0, -1.0), "the reading is reversed: negate the wrench"),
+        (swapped, "ft_sensor must have the sensing element's axes"),
+        (turned, "the sensing element is turned by 90.0 deg about -z"),
         (shifted(0, -1), "stamp both by one clock"),
         (shifted(1, -1), "stamp both by one clock"),
     ],
@@ -199,7 +205,7 @@ def test_the_command_passes_a_robot_by_its_own_description(
         assert main(["--seconds", "2.5", "--json"]) == 0
         found = json.loads(capfd.readouterr().out)
         text = json.dumps(found)
-        assert found["ok"] is True and "sign of force" in text and f'"{FIX}"' not in text
+        assert found["ok"] is True and '"what": "load"' in text and f'"{FIX}"' not in text
         assert "six_axis: 6 joints from base_link to ft_sensor" in text
         assert "use_robot_description:=true" in text and "/joint_trajectory" in text
         assert main(["--seconds", "2.5", "--urdf", str(URDF), "--sensor-frame", "wrist"]) == 1

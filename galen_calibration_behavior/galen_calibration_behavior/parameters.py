@@ -98,6 +98,11 @@ class CalibrationParameters(PoseParameters):
         "what to estimate together with the loads, see *Sensor and mounting*; a goal is rejected"
         " where the poses don't identify it",
     )
+    check_setup: bool = param(
+        True,
+        "whether nothing is written where a wrong set-up (mount, axes, units, order of joints)"
+        " explains the readings, or no load does",
+    )
     confirm_timeout_s: float = param(
         600.0, "time for an operator to put the tool on or to remove it", 1.0, 86_400.0
     )

@@ -296,6 +296,7 @@ class CalibrateAction(ArmAction):
                     measurements,
                     goal.warnings,
                     mounting=MountingRequest(groups) if groups else None,
+                    check_setup=self.node.settings.check_setup,
                     progress=go_on,
                 )
             except EstimateError as error:

@@ -32,6 +32,8 @@ from galen_model.load.choice import choose_calibration
 from galen_model.load.identification import Identification
 from galen_model.load.mounting.identification import Calibrated, KnownLoad, worth
 from galen_model.load.mounting.mounting import Mounting
+from galen_model.setup_check.check import SetupError, require_setup
+from galen_model.setup_check.readings import StillReadings
 
 from galen_calibration_behavior.commands import CalibrationCode, Measurements
 
@@ -120,17 +122,22 @@ def estimate(
     *,
     calibrated_at: datetime | None = None,
     mounting: MountingRequest | None = None,
+    check_setup: bool = True,
     progress: Callable[[str], None] | None = None,
 ) -> Calibration:
     """Identify the load and put the tool's file together, without writing it.
 
     `warnings` are known from before. `calibrated_at`, with a time zone, is when it was measured,
     for measurements that come out of a recording; None: now. `mounting`: estimate that as well,
-    with a constant bias. `progress`: told what is compared; what it raises ends the comparison.
+    with a constant bias. `check_setup`: whether a wrong set-up that explains the readings is an
+    error. `progress`: told what is compared; what it raises ends the comparison.
     Raises EstimateError.
     """
     gain: Worth | None = None
+    tool_poses = measurements.tool
     try:
+        if check_setup:
+            require_setup(StillReadings.of_poses(tool_poses), tool_poses.noise)
         if mounting is None:
             zero = measurements.zero_angles
             found = choose_calibration(measurements.bare, measurements.tool, zero, progress)
@@ -141,9 +148,9 @@ def estimate(
             gain = worth(measured, found)
     except NotExcitedError as error:
         raise EstimateError(CalibrationCode.NOT_EXCITED, str(error)) from error
-    except IdentificationError as error:
+    except (IdentificationError, SetupError) as error:
         raise EstimateError(CalibrationCode.IMPLAUSIBLE, str(error)) from error
-    arm = measurements.tool.arm
+    arm = tool_poses.arm
     content = CalibrationFile(
         tool=tool,
         load=found.load,

@@ -179,6 +179,7 @@ def _run(options: argparse.Namespace) -> tuple[RecordedSweeps, Calibration]:
         warnings,
         calibrated_at=recorded,
         mounting=_mounting_request(options),
+        check_setup=options.parameters.check_setup,
     )
     if not options.dry_run:
         calibration.write()

@@ -20,6 +20,8 @@ from galen_model.arrays import Array
 from galen_model.errors import GalenError, IdentificationError
 from galen_model.load.identification import MIN_POSES, StillPoses
 from galen_model.rest.segments import PoseRecord, wrench_fault
+from galen_model.setup_check.check import SetupError, require_setup
+from galen_model.setup_check.readings import StillReadings
 from galen_ros.goal.arrival import NS, PoseRejection
 from numpy.typing import ArrayLike
 
@@ -209,6 +211,7 @@ class SweepSorter:
         try:
             border = self._border(visits, good)
         except IdentificationError as error:
+            self._check_setup(recording, visits, good[len(good) // 2 :])
             faults = [*self._faults(visits).values()]
             home = len(recording.visits) - len(visits)
             counts = f"rest segments: {len(recording.visits)} in all, {home} where it was zeroed"
@@ -247,12 +250,23 @@ class SweepSorter:
             return
         border = self._border(visits, good)
         if border.changes and border.clear:
+            self._check_setup(recording, visits, good)
             at_s = recording.time_s(visits[good[border.index]].start_ns)
             raise GalenError(
                 f"{recording.path}: the load is another from {at_s:.1f} s on (one load leaves a"
                 f" residual {border.ratio:.0f} times as large as two): what should be one sweep is"
                 " not one"
             )
+
+    def _check_setup(self, recording: Visits, visits: list[Visit], good: list[int]) -> None:
+        """Raise GalenError where a wrong set-up explains what looks like two loads, or none."""
+        if not self._settings.check_setup or not good:
+            return
+        poses = still_poses([_record(visits[k]) for k in good], self._settings.arm)
+        try:
+            require_setup(StillReadings.of_poses(poses), poses.noise)
+        except SetupError as error:
+            raise GalenError(f"{recording.path}: {error}") from error
 
     # ---- judgement
 

@@ -33,6 +33,8 @@ from galen_model.errors import GalenError
 from galen_model.evidence.verdict import Cause, Limits, Verdict
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.rest.binned import CELL_S, CellReducer, Cells, StillPhases, find_still_phases
+from galen_model.setup_check.check import check_setup
+from galen_model.setup_check.readings import at_angles
 from galen_ros.arm import ArmParameters
 from galen_ros.cdr import MessageBytes, wrench_bytes
 from galen_ros.stream.samples import Notice
@@ -278,7 +280,10 @@ class _Run:
             start_ns=int(cells.start_ns[0]) if len(cells) else 0,
             stamps_jump=stamps_jump,
         )
-        if doubt := self._doubt():
+        doubt = self._doubt()
+        if not doubt and verdict.cause is not Cause.FITS:
+            doubt = self._wrong_setup(phases)
+        if doubt:
             verdict = Verdict(Cause.UNKNOWN, doubt)
         compensator = self._compensator
         first, last = self._span or (0, 0)
@@ -325,6 +330,16 @@ class _Run:
                     f"{what} in {count} of {pairing.received} wrenches: the file's fit is unknown"
                 )
         return ""
+
+    def _wrong_setup(self, phases: StillPhases) -> str:
+        """Return the wrong set-up that explains the rest segments, in words; empty for none."""
+        tool = self._tool
+        if tool.mounting is not None or not len(phases):
+            return ""
+        raw = phases.mean + tool.predict(phases.angles)
+        noise = np.sqrt(np.mean(phases.std_of_mean**2, axis=0))
+        found = check_setup(at_angles(raw, phases.angles, tool.arm), noise)
+        return found.sentence if found is not None and found.explanations else ""
 
 
 def _rmse(cells: Cells, which: np.ndarray) -> Array:

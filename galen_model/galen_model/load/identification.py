@@ -97,6 +97,13 @@ class StillPoses:
         """Gravity (n, 3) in ft_sensor, m/s^2."""
         return self.arm.gravity_in_sensor(self.angles)
 
+    @property
+    def noise(self) -> Array | None:
+        """Standard deviation (6,) of an averaged reading, N and N.m; None where it is not known."""
+        if self.std_of_mean is None:
+            return None
+        return np.asarray(np.sqrt(np.mean(self.std_of_mean**2, axis=0)))
+
     def take(self, rows: np.ndarray) -> StillPoses:
         """Return the poses `rows` (n,), a mask."""
 

@@ -19,7 +19,10 @@ FEWEST_POSES = 4
 _NOISES = 3.0  # a residual of so many standard deviations of an averaged reading is none of noise
 _FITS = 0.02  # nor one above this share of how the readings change
 _EXPLAINED = 0.1  # what an explanation leaves at most, of how the readings change
-_GAIN = 3.0  # and how many times smaller it makes the residuals, forces' times torques'
+_PAIR_EXPLAINED = 0.3  # two mistakes are looked for where no load explains so much
+_GAIN = 10.0  # and how many times smaller it makes the residuals, forces' times torques'
+_FITTED_GAIN = 30.0  # where numbers were fitted: a cable's pull is inclined, too, to a part
+_FITTED_KIND_GAIN = 3.0  # and then of forces and torques each that is not noise
 _ALIKE = 1.25  # residuals in this ratio are as good
 _TURNED_M_S2 = 2.0  # gravity changes by so much, root mean square, before anything is judged
 _LIGHT_N = 0.1  # and forces by so much
@@ -42,6 +45,11 @@ class Explanation:
     def what(self) -> str:
         """What is wrong, a clause."""
         return ", and ".join(mistake.what for mistake in self.mistakes)
+
+    @property
+    def parameters(self) -> int:
+        """How many numbers were fitted to undo them."""
+        return sum(mistake.parameters for mistake in self.mistakes)
 
     @property
     def remedy(self) -> str:
@@ -128,7 +136,7 @@ def check_setup(readings: StillReadings, noise: Array | None = None) -> SetupFin
     one load with a constant bias fitted to what results. A mistake explains the readings where its
     load is one that a wrist carries, what it leaves is at most a tenth of how the readings change,
     and, unless the load without it is impossible, the residuals of forces and torques together are
-    three times smaller. It costs one fit where a load fits.
+    ten times smaller. It costs one fit where a load fits.
 
     Args:
         readings: n still poses with one load.
@@ -146,15 +154,31 @@ def check_setup(readings: StillReadings, noise: Array | None = None) -> SetupFin
         return None
     if not fit.fault and np.all(_fits(fit, noise)):
         return None
-    singles = [
-        Explanation((one,), fit_load(one.readings, one.parameters)) for one in _singles(readings)
+    # What is off by little is no exchanged axis, and two mistakes at once explain too much.
+    off = 1.0 if fit.fault else float(np.max(fit.relative))
+    good = [
+        one
+        for one in _singles(readings)
+        if (off > _EXPLAINED or one.parameters) and _explains(one, fit, noise)
     ]
-    for candidates in (singles, _pairs(readings)):
-        good = [one for one in candidates if _explains(one.fit, fit, noise)]
-        if good:
-            return SetupFinding(fit, _best(good))
+    if not good and off > _PAIR_EXPLAINED:
+        good = [one for one in _pairs(readings) if _explains(one, fit, noise)]
+    if good:
+        return SetupFinding(fit, _best(good))
     gross = fit.fault or (fit.relative[0] > 0.5 and fit.residual[0] > _UNEXPLAINED_N)
     return SetupFinding(fit, ()) if gross else None
+
+
+def require_setup(readings: StillReadings, noise: Array | None = None) -> None:
+    """Check as `check_setup` does.
+
+    Raises:
+        SetupError: the set-up is wrong, or no load explains the readings.
+
+    """
+    found = check_setup(readings, noise)
+    if found is not None:
+        raise SetupError(found.sentence)
 
 
 def _fits(fit: LoadFit, noise: Array | None) -> np.ndarray:
@@ -166,18 +190,23 @@ def _fits(fit: LoadFit, noise: Array | None) -> np.ndarray:
     return np.asarray(small | (fit.residual < _NOISES * kinds))
 
 
-def _explains(found: LoadFit, before: LoadFit, noise: Array | None) -> bool:
+def _explains(one: Explanation, before: LoadFit, noise: Array | None) -> bool:
+    found = one.fit
     if found.fault:
         return False
     # Of a torque that is noise nothing has to be explained.
-    explained = (found.relative < _EXPLAINED) | _fits(found, noise)
-    if not explained[0]:
+    fits = _fits(found, noise)
+    if not (fits[0] or found.relative[0] < _EXPLAINED):
         return False
     scale = before.change / np.maximum(found.change, 1e-12)  # kgf, N.mm: the units differ
     ratio = before.residual / np.maximum(found.residual * scale, 1e-12)
+    if np.any(ratio < 1.0 / _ALIKE):
+        return False
     if before.fault:
-        return bool(np.all(ratio > 1.0 / _ALIKE))
-    return bool(np.prod(ratio) > _GAIN and np.all(ratio > 1.0 / _ALIKE))
+        return True
+    if not one.parameters:
+        return bool(np.prod(ratio) > _GAIN)
+    return bool(np.prod(ratio) > _FITTED_GAIN and np.all(fits | (ratio > _FITTED_KIND_GAIN)))
 
 
 def _best(good: list[Explanation]) -> tuple[Explanation, ...]:
@@ -187,9 +216,10 @@ def _best(good: list[Explanation]) -> tuple[Explanation, ...]:
     return tuple(one for one, bad in zip(good, badness, strict=True) if bad <= least)
 
 
-def _singles(readings: StillReadings) -> Iterator[Corrected]:
+def _singles(readings: StillReadings) -> Iterator[Explanation]:
     for kind in KINDS:
-        yield from kind(readings)
+        for one in kind(readings):
+            yield Explanation((one,), fit_load(one.readings, one.parameters))
 
 
 def _pairs(readings: StillReadings) -> Iterator[Explanation]:
