@@ -205,3 +205,17 @@ def test_the_tip_is_taken_kept_or_zero(tmp_path):
     assert "pointer.json" in warnings[0]
     with pytest.raises(GalenError, match="nan"):
         choose_tip(np.array([0.1, math.nan, 0.0]), path)
+
+
+def test_torques_in_another_unit_are_written_only_where_it_is_said(tmp_path):
+    bare, tool = (
+        replace(sweep, wrench=sweep.wrench * [1, 1, 1, 1e3, 1e3, 1e3])
+        for sweep in (still(NO_TOOL), still(POINTER, seed=3))
+    )
+    path = tmp_path / "pointer.json"
+    with pytest.raises(EstimateError, match="torques are in N") as raised:
+        calibrate(path, "pointer", TIP, measurements(bare, tool), [])
+    assert raised.value.code is CalibrationCode.IMPLAUSIBLE
+    assert not path.exists()
+    calibrate(path, "pointer", TIP, measurements(bare, tool), [], check_setup=False)
+    assert path.exists()

@@ -116,6 +116,21 @@ def test_a_bag_that_was_cut_off_is_calibrated_as_far_as_it_goes_and_says_so(caps
     assert (tmp_path / "tools" / "pointer.json").exists()
 
 
+def test_a_wrong_set_up_is_named_and_nothing_is_written_unless_it_is_said(capsys, tmp_path):
+    """The sample's arm stands upright; told that it hangs, the load that fits is negative."""
+    hangs = ("pointer", POINTER_BAG, "--gravity", "0", "0", "9.80665", "--tools-dir", str(tmp_path))
+    code, out, error = run(capsys, *hangs)
+    assert (code, out, list(tmp_path.iterdir())) == (EXIT_FAILED, "", [])
+    assert "the load that fits has the mass -160 g" in error.lower()
+    assert "base_link is inclined by 180.0 deg" in error and "--gravity 0 0 -9.80665" in error
+    assert "the reading is reversed" in error and "what separates them" in error
+    assert run(capsys, *hangs, "-p", "check_setup:=false")[0] == EXIT_FAILED  # no such load
+    on_a_wall = (*hangs[:3], "9.80665", "0", "0", *hangs[6:])
+    code, _, error = run(capsys, *on_a_wall)
+    assert code == EXIT_FAILED and "--gravity 0 0 -9.80665" in error
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

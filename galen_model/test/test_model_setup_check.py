@@ -11,6 +11,7 @@ from galen_model.load.model import Load, gravity_wrench
 from galen_model.rotation import matrix_to_quaternion, quaternion_to_matrix, rot_z
 from galen_model.setup_check.check import check_setup
 from galen_model.setup_check.readings import StillReadings, at_angles
+from galen_model.setup_check.stamps import check_stamps
 
 URDF = (Path(__file__).parents[2] / "galen_bringup/urdf/six_axis.urdf").read_text()
 SIX_AXES = read_arm(URDF)
@@ -180,3 +181,21 @@ def test_a_sound_set_up_is_left_alone():
         found = check_setup(at_angles_of(arm, angles, wrench))
         named += [] if found is None else [(seed, found.sentence)]
     assert named == []
+
+
+@pytest.mark.parametrize("late_s", [-0.8, -0.1, 0.0, 0.25, 2.0])
+def test_stamps_that_are_apart_are_named(late_s):
+    rng = np.random.default_rng(1)
+    time_s = np.arange(0.0, 60.0, 0.01)
+    turns = rng.uniform(0.2, 0.6, 6), rng.uniform(0.0, 6.0, 6)
+    joints = np.sin(turns[0] * time_s[:, None] + turns[1])
+    wrench = gravity_wrench(SIX_AXES.gravity_in_sensor(joints), LOAD) + BIAS
+    wrench += NOISE * rng.normal(size=wrench.shape)
+    found = check_stamps(time_s, joints, time_s + late_s, wrench, SIX_AXES)
+    if late_s == 0.0:
+        assert found is None
+        return
+    late = "wrench" if late_s > 0.0 else "joints"
+    assert f"stamps of the {late} are" in found.sentence
+    told = float(found.sentence.split("stamps of the ")[1].split(" are ")[1].split(" s ")[0])
+    assert told == pytest.approx(abs(late_s), abs=0.01)

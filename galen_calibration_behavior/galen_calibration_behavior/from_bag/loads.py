@@ -24,6 +24,7 @@ from galen_model.files.calibration_file import (
     read_calibration,
 )
 from galen_model.load.mounting.identification import KnownLoad
+from galen_model.setup_check.stamps import check_stamps
 
 from galen_calibration_behavior.calibration.estimate import (
     Calibration,
@@ -40,6 +41,7 @@ from galen_calibration_behavior.calibration.estimate import (
 from galen_calibration_behavior.commands import CalibrationCode
 from galen_calibration_behavior.from_bag.sweeps import RecordedSweeps, SweepSorter
 from galen_calibration_behavior.from_bag.visits import Visits, find_visits
+from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_ros import command
 
 T = TypeVar("T")
@@ -158,7 +160,23 @@ def _find_sweeps(options: argparse.Namespace) -> RecordedSweeps:
         return sorter.two_sweeps(recorded[0], options.tool_on_at_s)
     except GalenError as error:  # of a recording that was cut off that is the reason
         odd = [text for one in recorded for text in one.recording.problems]
+        odd += _stamps_apart(recorded[-1].recording, settings)
         raise GalenError("; ".join([str(error), *odd])) from error
+
+
+def _stamps_apart(recording: ArmRecording, settings: CalibrationParameters) -> list[str]:
+    """Say in a sentence that stamps are apart, where that explains why no load fits."""
+    if not settings.check_setup or not len(recording.joints) or not len(recording.wrenches):
+        return []
+    first_ns = recording.joint_stamp_ns[0]
+    found = check_stamps(
+        (recording.joint_stamp_ns - first_ns) * 1e-9,
+        recording.joints,
+        (recording.wrench_stamp_ns - first_ns) * 1e-9,
+        recording.wrenches,
+        settings.arm,
+    )
+    return [] if found is None else [found.sentence]
 
 
 def _run(options: argparse.Namespace) -> tuple[RecordedSweeps, Calibration]:
@@ -171,16 +189,20 @@ def _run(options: argparse.Namespace) -> tuple[RecordedSweeps, Calibration]:
     sweeps = _find_sweeps(options)
     recorded = sample_time(sweeps.last.window_ns[1], sweeps.last.log_ns)
     check_not_newer(options, path, recorded)
-    calibration = estimate(
-        path,
-        options.tool,
-        tip,
-        sweeps.measurements,
-        warnings,
-        calibrated_at=recorded,
-        mounting=_mounting_request(options),
-        check_setup=options.parameters.check_setup,
-    )
+    try:
+        calibration = estimate(
+            path,
+            options.tool,
+            tip,
+            sweeps.measurements,
+            warnings,
+            calibrated_at=recorded,
+            mounting=_mounting_request(options),
+            check_setup=options.parameters.check_setup,
+        )
+    except EstimateError as error:
+        odd = _stamps_apart(sweeps.recordings[-1].recording, options.parameters)
+        raise EstimateError(error.code, "; ".join([str(error), *odd])) from error
     if not options.dry_run:
         calibration.write()
         from galen_calibration_behavior.from_bag.page import calibration_page  # slow to import

@@ -208,16 +208,19 @@ class SweepSorter:
     def _find_border(self, recording: Visits, visits: list[Visit]) -> tuple[Border, int]:
         """Return the border and the first visit after it."""
         good = self._still(visits)
+        later = good[len(good) // 2 :]  # with the tool on, if the set-up is wrong
         try:
             border = self._border(visits, good)
         except IdentificationError as error:
-            self._check_setup(recording, visits, good[len(good) // 2 :])
+            self._check_setup(recording, visits, later)
             faults = [*self._faults(visits).values()]
             home = len(recording.visits) - len(visits)
             counts = f"rest segments: {len(recording.visits)} in all, {home} where it was zeroed"
             if faults:
                 counts += f", {len(faults)} rejected, the last: {faults[-1]}"
             raise GalenError(f"{recording.path}: {error} ({counts})") from error
+        if not border.changes or not border.clear:
+            self._check_setup(recording, visits, later)
         if not border.changes:
             raise GalenError(
                 f"{recording.path}: one load explains all {len(good)} still poses, and two don't do"

@@ -169,6 +169,13 @@ def check_setup(readings: StillReadings, noise: Array | None = None) -> SetupFin
     return SetupFinding(fit, ()) if gross else None
 
 
+def check_fit(readings: StillReadings, mistake: Corrected) -> SetupFinding | None:
+    """Return the finding where one mistake explains readings that no load fits; else None."""
+    fit = fit_load(readings)
+    one = Explanation((mistake,), fit_load(mistake.readings, mistake.parameters))
+    return SetupFinding(fit, (one,)) if _explains(one, fit, None) else None
+
+
 def require_setup(readings: StillReadings, noise: Array | None = None) -> None:
     """Check as `check_setup` does.
 
