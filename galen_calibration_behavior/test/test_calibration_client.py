@@ -118,6 +118,24 @@ def test_ctrl_c_cancels_and_waits_for_the_stop(world):
     assert world.files == []
 
 
+def test_a_terminal_that_closes_cancels_and_the_arm_is_stopped(world):
+    keyboard, terminal = pty.openpty()
+    with calibrate(world.harness, "pointer", stdin=terminal) as client:
+        world.harness.wait_for(
+            lambda: world.node._goal and world.node._goal.procedure.progress[0] >= 1,
+            20.0,
+            "the first pose",
+        )
+        os.close(keyboard)
+        os.close(terminal)
+        client.signal(signal.SIGHUP)
+        code, _, _ = client.end()
+    assert code == 130
+    assert world.driver.stops == 1
+    assert not world.driver.arm.moving
+    assert world.files == []
+
+
 class SlowServer(Node):
     """Takes goals only when told to; `canceled` are those that it was then asked to cancel."""
 

@@ -7,9 +7,11 @@ the imports, which take seconds: `tools = galen_ros.executable:galen_gravcomp.to
 from __future__ import annotations
 
 import atexit
+import contextlib
 import importlib
 import os
 import signal
+import stat
 import time
 from types import FrameType
 from typing import Literal
@@ -51,6 +53,21 @@ class _Interrupts:
 
 
 _interrupts = _Interrupts()
+
+
+def stop_signals() -> tuple[signal.Signals, ...]:
+    """Return the signals that end an executable: not SIGHUP where `nohup` has it ignored."""
+    ends = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    return tuple(one for one in ends if signal.getsignal(one) is not signal.SIG_IGN)
+
+
+def terminal_closed() -> None:
+    """Send what is still printed nowhere: writing to a terminal that is gone fails."""
+    nowhere = os.open(os.devnull, os.O_RDWR)
+    for stream in (0, 1, 2):
+        with contextlib.suppress(OSError):  # it may be closed
+            if stat.S_ISCHR(os.fstat(stream).st_mode):
+                os.dup2(nowhere, stream)
 
 
 def interrupted() -> None:

@@ -47,7 +47,7 @@ def domain(monkeypatch):
 
 
 @pytest.mark.usefixtures("domain")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_ends_the_node_cleanly(number):
     with subprocess.Popen(
         [sys.executable, "-c", _PROGRAM],

@@ -15,8 +15,9 @@ EXECUTABLE = """#!/bin/sh
 '''exec' "{python}" "$0" "$@"
 ' '''
 import sys
-import {module} as module
-sys.exit(module.{function}())
+from {module} import {first}
+if __name__ == "__main__":  # worker processes import this script
+    sys.exit({function}())
 """
 
 
@@ -40,7 +41,11 @@ def link_package(folder: Path, install: Path) -> None:
         module, _, function = reference.partition(":")
         path = install / "lib" / name / executable
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(EXECUTABLE.format(python=sys.executable, module=module, function=function))
+        first = function.partition(".")[0]
+        script = EXECUTABLE.format(
+            python=sys.executable, module=module, first=first, function=function
+        )
+        path.write_text(script)
         path.chmod(0o755)
 
 

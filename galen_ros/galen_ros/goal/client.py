@@ -33,6 +33,7 @@ from galen_ros.command import (
     add_json,
     positive,
 )
+from galen_ros.executable import stop_signals, terminal_closed
 from galen_ros.node.spin import init_ros
 from galen_ros.rclpy_workarounds import guard_parameter_services
 
@@ -87,8 +88,10 @@ class GoalClient:
     def while_waiting(self) -> None:
         """Do what is to be done while the goal runs, some twenty times a second."""
 
-    def on_signal(self, _number: int, _frame: FrameType | None) -> None:
-        """Note a Ctrl-C; the second one does not wait for the arm."""
+    def on_signal(self, number: int, _frame: FrameType | None) -> None:
+        """Note a Ctrl-C, or a terminal that closed; the second one does not wait for the arm."""
+        if number == signal.SIGHUP:
+            terminal_closed()
         self._interrupts += 1
 
     def run(self) -> Any:
@@ -257,7 +260,7 @@ def run_client(
         print(f"{name}: {error}", file=sys.stderr)
         raise SystemExit(EXIT_USAGE) from None
     client = make(options)
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in stop_signals():
         signal.signal(number, client.on_signal)
     try:
         result = client.run()

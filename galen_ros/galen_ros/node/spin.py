@@ -25,7 +25,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import ok, try_shutdown
 
-from galen_ros.executable import interrupted
+from galen_ros.executable import interrupted, stop_signals, terminal_closed
 from galen_ros.node.parameters import warn_of_unknown_parameters
 
 N = TypeVar("N", bound=Node)
@@ -58,7 +58,7 @@ def init_ros(args: list[str] | None = None, context: Context | None = None) -> N
 
 
 def run(make_node: Callable[[], Node], args: list[str] | None = None) -> None:
-    """Make the node and run it until SIGINT or SIGTERM; to be a console script's whole `main`.
+    """Make the node and run it until SIGINT, SIGTERM or SIGHUP; a console script's whole `main`.
 
     Ends with exit code 0 on a signal. A GalenError while the node is made (a bad parameter, a bad
     file) prints one line and ends with exit code 1. Anything else is a bug, and keeps its
@@ -87,12 +87,12 @@ def run_until(
         caught.append(number)
         if number == signal.SIGINT:
             interrupted()
+        if number == signal.SIGHUP:
+            terminal_closed()
 
     # Own handlers, not rclpy's: rclpy's shut the context down under a running callback, whose next
     # publish then raises. With these, the callback ends first and the node can say good-bye.
-    previous = {
-        number: signal.signal(number, on_signal) for number in (signal.SIGINT, signal.SIGTERM)
-    }
+    previous = {number: signal.signal(number, on_signal) for number in stop_signals()}
     try:
         init_ros(args)
         try:
