@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import gc
+import inspect
 import os
 import re
 import signal
@@ -30,6 +31,11 @@ from galen_ros.node.parameters import warn_of_unknown_parameters
 
 N = TypeVar("N", bound=Node)
 
+_HELP = """usage: {name} [--ros-args -p NAME:=VALUE ... --params-file FILE -r FROM:=TO ...]
+
+{what}
+
+`ros2 param list` and `ros2 param describe` list its parameters while it runs."""
 _IN_RCL = re.compile(r",? at /\S+")
 
 
@@ -60,10 +66,17 @@ def init_ros(args: list[str] | None = None, context: Context | None = None) -> N
 def run(make_node: Callable[[], Node], args: list[str] | None = None) -> None:
     """Make the node and run it until SIGINT, SIGTERM or SIGHUP; a console script's whole `main`.
 
+    With `--help` it says what the node is, and how parameters are given, and makes none.
     Ends with exit code 0 on a signal. A GalenError while the node is made (a bad parameter, a bad
     file) prints one line and ends with exit code 1. Anything else is a bug, and keeps its
     traceback.
     """
+    words = sys.argv[1:] if args is None else args
+    if {"-h", "--help"} & set(
+        words[: words.index("--ros-args")] if "--ros-args" in words else words
+    ):
+        print(_HELP.format(name=Path(sys.argv[0]).name, what=inspect.getdoc(make_node)))
+        return
     try:
         run_until(make_node, lambda _node: False, args)
     except GalenError as error:
