@@ -110,7 +110,7 @@ class PoseFeedback:
 class Measurements:
     """Identify the load from these, write the file; answer with `on_estimated` or `fail`.
 
-    The zero pose (rad) is where the sensor was zeroed.
+    The zero pose (rad) is where the sensor was zeroed; `zeroed`: whether it was, None: not known.
     """
 
     bare: StillPoses | None
@@ -120,6 +120,7 @@ class Measurements:
     tool_indices: list[int]
     rejected: list[str]
     warnings: list[str]
+    zeroed: bool | None = None
 
 
 @dataclass(frozen=True)

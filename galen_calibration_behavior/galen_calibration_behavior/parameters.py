@@ -32,6 +32,7 @@ MAX_CHOSEN = 60  # more take long to choose and to order, and are no better than
 MAX_LISTED = 1000
 MOST_CHECK_POSES = 12
 POSES = ("auto", "grid", "chosen", "listed")
+ZEROINGS = ("auto", "zeroed", "none")
 
 
 @dataclass(frozen=True)
@@ -98,6 +99,12 @@ class CalibrationParameters(PoseParameters):
         "what to estimate together with the loads, see *Sensor and mounting*; a goal is rejected"
         " where the poses don't identify it",
     )
+    zeroing: str = param(
+        "auto",
+        "whether the sensor is zeroed with the adapter alone: `none`: it can't be; one sweep then"
+        " finds tool and adapter as one load, and the file holds the sensor's offset. `auto`: by"
+        " `zero_ft_sensor`, by hand where that service is there; of a recording the readings tell",
+    )
     check_setup: bool = param(
         True,
         "whether nothing is written where a wrong set-up (mount, axes, units, order of joints)"
@@ -145,6 +152,11 @@ class CalibrationParameters(PoseParameters):
         if self.poses not in POSES:
             raise ParameterError(
                 f"parameter 'poses' is {self.poses!r}, but must be {' or '.join(map(repr, POSES))}"
+            )
+        if self.zeroing not in ZEROINGS:
+            raise ParameterError(
+                f"parameter 'zeroing' is {self.zeroing!r}, but must be"
+                f" {' or '.join(map(repr, ZEROINGS))}"
             )
         if self.has_home:
             self.grid_poses(self.itersT, self.itersR)
@@ -220,6 +232,11 @@ class CalibrationParameters(PoseParameters):
         if self.poses != "auto":
             return self.poses
         return "grid" if self.has_home else "chosen"
+
+    @property
+    def zeroed(self) -> bool | None:
+        """Whether the sensor was zeroed, as the parameter says; None: it doesn't."""
+        return None if self.zeroing == "auto" else self.zeroing == "zeroed"
 
     @property
     def chosen(self) -> bool:

@@ -96,7 +96,7 @@ def test_a_rotation_that_is_chosen_unasked_is_warned_of(tmp_path, monkeypatch):
     for sweep in sweeps:
         sweep.wrench[:] = (sweep.wrench.reshape(-1, 2, 3) @ turned).reshape(-1, 6)
 
-    def choose(bare, tool, zero, _progress):
+    def choose(bare, tool, zero, _progress, _zeroed):
         found = Calibrated(bare, tool, ("sensor_rotation",), zero, None).identify()
         return replace(found, model="rotation of the sensor", reason="8 blocks")
 

@@ -428,6 +428,20 @@ def test_a_missing_service_is_named_before_anything_moves(tmp_path, service):
         assert world.driver.moves == 0
 
 
+@pytest.mark.usefixtures("quick_discovery")
+def test_a_sensor_that_can_not_be_zeroed_gives_one_load_and_its_offset(tmp_path):
+    with Harness() as harness:
+        world = make(harness, tmp_path, without=("zero_ft_sensor",), zeroing="none")
+        world.driver.arm.bias = np.array([1.0, -2.0, 3.0, 0.05, -0.02, 0.01])
+        _, result = world.result(world.send(one_sweep=True))
+        assert result.error_msg == ""
+        file = read_calibration(result.file)
+    assert file.zeroing is None and file.adapter.mass_kg == 0.0
+    assert abs(file.load.mass_kg - 0.16) < 5.0 * file.load.mass_std_kg
+    np.testing.assert_allclose(file.residual_offset, -world.driver.arm.bias, atol=0.02)
+    assert "ago" in file.bias_note or "just now" in file.bias_note
+
+
 def test_a_wrong_frame_is_named(world):
     world.driver.frame_id = "tool0"
     world.fails(world.send(), ErrorCode.BAD_INPUT, "wrench_raw", "'tool0'", "'ft_sensor'")

@@ -82,6 +82,7 @@ class Monitor(StreamMonitor):
                 "com_m": joined(tool.load.com_m),
                 "tip_m": joined(tool.tip_m),
                 "calibrated_at": tool.calibrated_at,
+                "bias": "" if offset.any() else tool.bias_note,
             }
         values |= {
             "sensor_frame": compensator.pairing.sensor_frame,

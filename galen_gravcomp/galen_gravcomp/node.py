@@ -128,7 +128,7 @@ class GravcompNode(StreamNode):
             stored = self._tools.read(name)
             self._compensator.set_tool(stored.tool)
             self._tools.active_tool.put(stored)
-            self._warn_of_another_urdf(stored.tool)
+            self._warn_of_file(stored.tool)
         except (ToolNameError, CalibrationFileError) as error:
             if not self.starts_itself:
                 raise  # the transition's caller gets it
@@ -136,9 +136,12 @@ class GravcompNode(StreamNode):
             self._compensator.set_tool(None, str(error))
             self._compensation.set_tool_error(str(error))
 
-    def _warn_of_another_urdf(self, file: CalibrationFile) -> None:
+    def _warn_of_file(self, file: CalibrationFile) -> None:
+        # A line of code for each: rclpy's logger keeps one text's once.
         if file.arm_warning:
             self.get_logger().warning(file.arm_warning)
+        if file.bias_note:
+            self.get_logger().warning(file.bias_note)
 
     def _on_set_tool(self, request: SetTool.Request, response: SetTool.Response) -> Any:
         response.success = False
@@ -158,7 +161,7 @@ class GravcompNode(StreamNode):
             self._choose_joints()
             self.get_logger().info(f"active tool: {request.tool or 'none'}")
             if stored is not None:
-                self._warn_of_another_urdf(stored.tool)
+                self._warn_of_file(stored.tool)
         self._fill_active_tool(response)
         self._tools.active_tool.update()
         if not response.success:

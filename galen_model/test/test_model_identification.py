@@ -16,6 +16,7 @@ from galen_model.load.identification import (
     identify_single_load,
     identify_two_sweeps,
     plain_least_squares,
+    zeroing_fault,
 )
 from galen_model.load.model import (
     ADAPTER,
@@ -218,6 +219,38 @@ def test_one_sweep_compensates_fully_and_says_what_it_can_not_know():
     # what isn't known is stated as wide, what is known as narrow
     assert found.load.com_std_m[0] > 0.02
     assert found.load.com_std_m[1] < 1e-3
+
+
+BIAS = np.array([0.4, -3.1, -4.0, -0.07, -0.02, -0.05])
+
+
+@pytest.mark.parametrize("bias", [BIAS, -BIAS, 0.03 * BIAS], ids=["large", "negative", "small"])
+def test_one_sweep_of_a_sensor_that_was_not_zeroed_is_one_load_and_its_offset(bias):
+    tool, rng = TOOLS["retractor"].load, np.random.default_rng(15)
+    both = Load(0.3, (tool.moments + ADAPTER.moments)[1:] / 0.3)
+    readings = gravity_wrench(GALEN.gravity_in_sensor(grid()), both) + bias
+    sweep = StillPoses(grid(), readings + SIGMA * rng.standard_normal(readings.shape))
+    found = choose_calibration(None, sweep)
+    assert not found.zeroed and found.adapter.mass_kg == 0.0
+    assert abs(found.load.mass_kg - 0.3) < 4.0 * found.load.mass_std_kg
+    assert np.all(np.abs(found.load.com_m - both.com_m) < 4.5 * found.load.com_std_m)
+    assert np.all(np.abs(found.offset - bias) < 4.5 * found.offset_std)
+    assert any("not zeroed with the adapter alone" in text for text in found.warnings)
+
+
+def test_one_sweep_of_a_zeroed_sensor_is_told_from_others():
+    """The test's level is 0.1 %: of 200 sets of a zeroed sensor at most 3 (once in 30,000)."""
+    tool, rng = TOOLS["pointer"].load, np.random.default_rng(16)
+    home = GALEN.gravity_in_sensor(None)
+    zeroed = [zeroing_fault(sweeps(tool, rng)[1], home) for _ in range(200)]
+    assert np.count_nonzero(zeroed) <= 3
+    for _ in range(20):
+        _, sweep = sweeps(tool, rng, drift=rng.normal(size=6) * [1, 1, 1, 0.05, 0.05, 0.05])
+        assert zeroing_fault(sweep, home)
+    heavy = np.array([9.80665 * 0.3, 0.0, 0.0, 0.0, 0.0, 0.0])  # as an adapter of -300 g more
+    assert "adapter would weigh" in zeroing_fault(sweeps(tool, rng, drift=heavy)[1], home)
+    assert choose_calibration(None, sweeps(tool, rng)[1]).zeroed
+    assert not choose_calibration(None, sweeps(tool, rng)[1], zeroed=False).zeroed
 
 
 @pytest.mark.slow

@@ -185,7 +185,7 @@ class CalibrateAction(ArmAction):
                 request.attach_by_service,
                 None if plan is None else plan.poses,
                 None if plan is None else plan.router,
-                zero=not by_hand or self._zero_client.service_is_ready(),
+                zero=self._can_zero(request),
                 tip_m=tip_m,
                 warnings=(*warnings, *(() if plan is None else plan.warnings)),
             ),
@@ -230,10 +230,16 @@ class CalibrateAction(ArmAction):
 
     # ---- commands
 
+    def _can_zero(self, request: CalibrateTool.Goal) -> bool:
+        if self.node.settings.zeroing == "none":
+            return False
+        return not request.by_hand or self._zero_client.service_is_ready()
+
     def needed_clients(self, goal: _Calibrating) -> list[Client]:
         """Return the clients of the services that the goal can't do without."""
         request = goal.handle.request
-        zero = [] if request.by_hand else [self._zero_client]
+        settled = request.by_hand or self.node.settings.zeroing == "none"
+        zero = [] if settled else [self._zero_client]
         return [*zero, self._attach_client] if request.attach_by_service else zero
 
     def find_missing(self, goal: _Calibrating) -> tuple[IntEnum, str] | None:

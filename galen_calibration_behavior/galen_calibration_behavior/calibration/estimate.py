@@ -140,7 +140,8 @@ def estimate(
             require_setup(StillReadings.of_poses(tool_poses), tool_poses.noise)
         if mounting is None:
             zero = measurements.zero_angles
-            found = choose_calibration(measurements.bare, measurements.tool, zero, progress)
+            bare, zeroed = measurements.bare, measurements.zeroed
+            found = choose_calibration(bare, measurements.tool, zero, progress, zeroed)
             warnings = [*warnings, *_turned(found.mounting)]
         else:
             measured = _with_mounting(measurements, mounting)
@@ -162,7 +163,7 @@ def estimate(
         residual_offset=found.offset,
         gravity_m_s2=arm.gravity_m_s2,
         arm=arm,
-        zeroing=zeroed_at(measurements.zero_angles, arm),
+        zeroing=zeroed_at(measurements.zero_angles, arm) if found.zeroed else None,
         poses_rejected=(*measurements.rejected, *_outliers(found, measurements)),
         unresolved=found.unresolved,
         mounting=found.mounting,
@@ -260,13 +261,7 @@ def format_result(result: Any) -> str:
     lines = [
         f"{'':18}{'mass [g]':>18}   centre x, y, z in the sensor [mm]",
         _load_line(result.tool, result.mass_kg, result.mass_std_kg, result.com_m, result.com_std_m),
-        _load_line(
-            "adapter",
-            result.adapter_mass_kg,
-            result.adapter_mass_std_kg,
-            result.adapter_com_m,
-            result.adapter_com_std_m,
-        ),
+        _adapter_line(result),
         "",
         "RMSE force  [N]    " + "".join(f"{v:10.4f}" for v in result.rmse_force_n),
         "RMSE torque [mN.m] " + "".join(f"{1e3 * v:10.4f}" for v in result.rmse_torque_nm),
@@ -279,6 +274,18 @@ def format_result(result: Any) -> str:
     lines += [f"warning: {text}" for text in result.warnings]
     lines.append(f"written: {result.file}" if result.file else "nothing is written")
     return "\n".join(lines)
+
+
+def _adapter_line(result: Any) -> str:
+    if not result.adapter_mass_kg:
+        return f"{'adapter':18}(in the load above)"
+    return _load_line(
+        "adapter",
+        result.adapter_mass_kg,
+        result.adapter_mass_std_kg,
+        result.adapter_com_m,
+        result.adapter_com_std_m,
+    )
 
 
 def _load_line(name: str, mass: float, mass_std: float, com: Any, com_std: Any) -> str:

@@ -96,6 +96,9 @@ class CalibrationProcedure(PoseProcedure):
 
     def __init__(self, settings: CalibrationParameters, request: CalibrationRequest) -> None:
         states = self.one_sweep if request.one_sweep else self.two_sweeps
+        if request.one_sweep and not request.zero:  # the tool may stay on
+            off = (CalibrationState.REMOVE_TOOL, CalibrationState.ZERO)
+            states = tuple(state for state in states if state not in off)
         super().__init__(settings, CalibrationState.HOME)
         self._request = request
         self._router = request.router
@@ -376,6 +379,7 @@ class CalibrationProcedure(PoseProcedure):
                 tool_indices=self._tool.indices,
                 rejected=self._rejections(),
                 warnings=self._warnings(),
+                zeroed=self._request.zero,
             )
         )
 

@@ -17,6 +17,7 @@ from typing import Any, TypeVar
 import numpy as np
 from galen_bags.arrays.arm_recording import ArmRecording, ArmTopics, read_arm
 from galen_model.errors import CalibrationFileError, GalenError
+from galen_model.evidence.verdict import wrench_text
 from galen_model.files.atomic_file import write_whole
 from galen_model.files.calibration_file import (
     age_text,
@@ -117,6 +118,8 @@ def estimate_loads(options: argparse.Namespace) -> dict[str, Any]:
     if not options.json:
         print(f"{_format_sweeps(sweeps)}\n{format_mounting(calibration)}")
         print(format_result(SimpleNamespace(**fields)))
+        if not calibration.found.zeroed:
+            print(f"the sensor's offset: {wrench_text(calibration.content.residual_offset)}")
         if fields["page"]:
             print(f"written: {fields['page']}")
     return fields
@@ -227,6 +230,7 @@ def _result_fields(
     } | calibration_fields(calibration)
     return fields | {
         "calibrated_at": calibration.content.calibrated_at,
+        "residual_offset": calibration.content.residual_offset.tolist(),
         "tool_on_s": sweeps.tool_on_s,
         "next_border_worse_sigmas": None if border is None else border.next_worse,
         "one_load_worse_ratio": None if border is None else border.ratio,

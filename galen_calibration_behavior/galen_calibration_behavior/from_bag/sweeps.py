@@ -337,6 +337,7 @@ class SweepSorter:
             tool_indices=[pose.number for pose in good_tool],
             rejected=[*_left_out(bare), *_left_out(tool)],
             warnings=warnings,
+            zeroed=self._settings.zeroed,
         )
         return RecordedSweeps(measurements, [*bare, *tool], recordings)
 

@@ -175,6 +175,16 @@ class CalibrationFile:
         return wrench + self.residual_offset
 
     @property
+    def bias_note(self) -> str:
+        """Say how old the sensor's bias is that the file holds; empty where a zeroing sets it."""
+        if self.zeroing is not None or not np.any(self.residual_offset):
+            return ""
+        return (
+            f"the sensor's bias is the file's, {age_text(self.calibrated_at)}: tare without contact"
+            " where it may have changed (restart, zeroing, warming up)"
+        )
+
+    @property
     def zero_angles(self) -> Array:
         """Angles (k,) of the zeroing, rad; home where the file does not hold them."""
         joints = {} if self.zeroing is None else self.zeroing.joints

@@ -56,13 +56,16 @@ from galen_model.load.identification import (
     check_one_sweep,
     check_rejections,
     check_two_sweeps,
+    identify_one_load,
     identify_one_sweep,
     identify_two_sweeps,
     load_estimate,
+    one_load_result,
     one_sweep_result,
     plain_least_squares,
     single_load_design,
     two_sweeps_result,
+    zeroing_fault,
 )
 from galen_model.load.mounting.identification import (
     MountingProblem,
@@ -246,17 +249,26 @@ def choose_calibration(
     tool: StillPoses,
     zero_angles: ArrayLike | None = None,
     progress: _Progress = None,
+    zeroed: bool | None = None,
 ) -> Identification:
     """Identify tool and adapter by the model that held-out blocks prefer.
 
     bare: the sweep without the tool, or None; zero_angles: (k,) where the sensor was zeroed, rad.
     Without times nothing that needs them is tried. progress: told in words what is compared; what
-    it raises comes through. Raises as `identify_two_sweeps` does.
+    it raises comes through. zeroed: of one sweep, whether the sensor was zeroed there with the
+    adapter alone; None: the readings decide (`zeroing_fault`). If not, tool and adapter are one
+    load. Raises as `identify_two_sweeps` does.
     """
     zero = zeroing_pose(zero_angles, tool.arm)
+    apart, why = True, ""
     if bare is None:
         check_one_sweep(tool)
+        if zeroed is None:
+            why = zeroing_fault(tool, tool.arm.gravity_in_sensor(zero_angles))
+        apart = not why if zeroed is None else zeroed
         measured, final = _one_sweep(tool, zero)
+        if not apart:
+            final = measured
     else:
         check_two_sweeps(bare, tool, zero_angles)
         measured = final = _two_sweeps(bare, tool, zero)
@@ -266,15 +278,18 @@ def choose_calibration(
     used = choice.masks[choice.names[0]] & choice.masks[choice.names[1]]
     robust = ROBUST in choice.names or bool(np.all(used == choice.masks[ROBUST]))
     if STRUCTURED not in choice.names and robust:
-        found = (
-            identify_one_sweep(tool, zero_angles)
-            if bare is None
-            else identify_two_sweeps(bare, tool, zero_angles)
-        )
-        return _told(found, choice, bare, tool)
+        if bare is not None:
+            found = identify_two_sweeps(bare, tool, zero_angles)
+        elif apart:
+            found = identify_one_sweep(tool, zero_angles)
+        else:
+            found = identify_one_load(tool)
+        return _told(_with_zeroing(found, why), choice, bare, tool)
     fit, curves, mounting = _fitted(final, choice, used)
     check_rejections(fit)
-    if bare is None:
+    if bare is None and not apart:
+        found = one_load_result(fit, tool)
+    elif bare is None:
         found = one_sweep_result(fit, tool, zero.gravity(mounting)[0][0])
     else:
         drifts = choice.structure is not None and choice.structure.drifts
@@ -296,7 +311,20 @@ def choose_calibration(
             found,
             SweepBiasDrift(curves.shapes, None if bare is None else bias[:count], bias[count:]),
         )
-    return _told(found, choice, bare, tool)
+    return _told(_with_zeroing(found, why), choice, bare, tool)
+
+
+def _with_zeroing(found: Identification, why: str) -> Identification:
+    """Add a warning where tool and adapter are one load: why, and what belongs to the file then."""
+    if found.zeroed:
+        return found
+    text = (
+        "tool and adapter are one load, and the file holds the sensor's offset, as the sensor was"
+        " not zeroed with the adapter alone"
+        + (f" ({why})" if why else "")
+        + "; tare after each restart or zeroing of the sensor"
+    )
+    return replace(found, warnings=(*found.warnings, text))
 
 
 def _told(

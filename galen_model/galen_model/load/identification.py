@@ -11,7 +11,8 @@ and how far the sensor had drifted when each sweep was made; they are free and a
 slow drift between the two sweeps reaches neither mass nor centre. After two sweeps everything is
 told. With one sweep the offset has to be taken as the zeroing's own noise, and even then only the
 sum of tool and adapter is known for the part of h along gravity at the zeroing pose, because the
-sensor reads G(theta) (x_t + x_b) - G_0 x_b, and g_0 x h_b says nothing of h_b along g_0.
+sensor reads G(theta) (x_t + x_b) - G_0 x_b, and g_0 x h_b says nothing of h_b along g_0. Of a
+sensor that was not zeroed so, one sweep tells one load, tool and adapter together, and the offset.
 
 Source: the 2019 report's eqs. (1)-(8) with the errata's bias term, as one least-squares problem
 that uses force and torque of both sweeps together.
@@ -28,6 +29,7 @@ from numpy.typing import ArrayLike
 from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN, WRENCH_AXES
 from galen_model.arrays import Array
+from galen_model.distributions import chi2_ppf
 from galen_model.errors import IdentificationError, NotExcitedError
 from galen_model.files.calibration_file import LoadEstimate
 from galen_model.load.identifiability import LOAD_PARAMETERS, check_excitation
@@ -44,6 +46,12 @@ MIN_POSES = 4
 _MAX_REJECTED_FRACTION = 1 / 3
 _MIN_POSES_FOR_BIAS_DRIFT = 12
 _BIAS_DRIFT_SIGMAS = 4.0  # by chance in one calibration of a thousand, over its twelve channels
+_ZEROED_SQUARE = float(chi2_ppf(0.999, 3))
+_SURE = 3.0  # standard deviations
+_FARTHEST_ADAPTER_M = 0.3
+ONE_LOAD = ("tool and adapter: found as one load, with the sensor's constant offset",)
+"""What a sweep of a sensor that was not zeroed does not tell."""
+
 _UNOBSERVED_MOMENT_STD_KGM = 0.01  # 100 g at 100 mm: wider than any adapter's first moment
 
 
@@ -164,6 +172,8 @@ class Identification:
     mounting: Mounting | None = None
     model: str = ""
     reason: str = ""
+    zeroed: bool = True
+    """Whether tool and adapter are apart; else the load is both, and the offset the sensor's."""
 
 
 def identify_two_sweeps(
@@ -284,8 +294,8 @@ def one_sweep_result(fit: RobustFit, tool: StillPoses, gravity_zero: Array) -> I
     unresolved = (
         "the first moments of tool and adapter along gravity at the zeroing pose "
         f"(ft_sensor direction {np.round(along, 4).tolist()}): only their sum "
-        f"{total:.6f} kg.m is known, here all of it is given to the tool; "
-        "the compensation is not affected",
+        f"{total:.6f} kg.m is known, here all of it is given to the tool; as long as the sensor is "
+        "zeroed there with the adapter alone the compensation is not affected",
     )
     return Identification(
         load=load_estimate(fit, slice(0, 4), "the tool"),
@@ -305,6 +315,95 @@ def one_sweep_result(fit: RobustFit, tool: StillPoses, gravity_zero: Array) -> I
             *unresolved,
         ),
         unresolved=unresolved,
+    )
+
+
+def zeroing_fault(tool: StillPoses, gravity_zero: Array) -> str:
+    """Say why the sensor can't have been zeroed with the adapter alone; empty where it may.
+
+    One load x and free offsets o are fitted to the sweep. A zeroing with the adapter (m_b, h_b)
+    under gravity g_0 leaves o = -G_0 x_b:
+
+        o_f = -m_b g_0,    o_tau = g_0 x h_b
+
+    so that o_f has no part across g_0 (two numbers) and o_tau none along it (one). With C their
+    covariance, of the fit and of the zeroing's own reading, d^T C^-1 d is chi-square of 3. Beside
+    that m_b lies between zero and the whole mass, and h_b across g_0 within 0.3 m of the sensor.
+
+    Args:
+        tool: the sweep.
+        gravity_zero: (3,) in the sensor's frame where it would have been zeroed, m/s^2.
+
+    Raises:
+        IdentificationError: as `identify_single_load` does.
+
+    """
+    fit = fit_robust(single_load_design(tool.gravity), tool.wrench)
+    check_rejections(fit)
+    size = float(np.linalg.norm(gravity_zero))
+    along = gravity_zero / size
+    across = np.linalg.svd(along[None])[2][1:]
+    rows = np.zeros((3, 10))
+    rows[:2, 4:7], rows[2, 7:10] = across, along
+    noise = np.zeros((10, 10))
+    noise[range(4, 10), range(4, 10)] = fit.sigma**2
+    covariance = fit.covariance + noise
+    off = rows @ fit.values
+    square = float(off @ np.linalg.solve(rows @ covariance @ rows.T, off))
+    if square > _ZEROED_SQUARE:
+        return (
+            f"the offset has {np.linalg.norm(off[:2]):.3g} N across gravity at the zeroing pose and"
+            f" {abs(off[2]):.3g} N.m along it, where a zeroing with the adapter alone leaves none"
+        )
+    mass = -float(along @ fit.values[4:7]) / size
+    mass_std = float(np.sqrt(along @ covariance[4:7, 4:7] @ along)) / size
+    slack = _SURE * mass_std
+    if not -slack <= mass <= fit.values[0] + slack:
+        whole = f"{fit.values[0] * 1e3:.0f} g"
+        return f"the adapter would weigh {mass * 1e3:.0f} g, of {whole} for tool and adapter"
+    moment = float(np.linalg.norm(fit.values[7:10])) / size
+    moment_std = float(np.sqrt(np.max(np.diag(covariance)[7:10]))) / size
+    if moment > _FARTHEST_ADAPTER_M * (mass + slack) + _SURE * moment_std:
+        return f"the adapter's centre would be {moment / max(mass, 1e-9):.2g} m from the sensor"
+    return ""
+
+
+def identify_one_load(tool: StillPoses) -> Identification:
+    """Identify tool and adapter as one load, with the sensor's own constant offset, from one sweep.
+
+    Raises as `identify_two_sweeps` does.
+    """
+    check_one_sweep(tool)
+    fit = fit_robust(single_load_design(tool.gravity), tool.wrench)
+    check_rejections(fit)
+    used = single_load_design(tool.gravity[fit.used])
+    check_excitation(used, LOAD_PARAMETERS[:4], {"with the tool": tool})
+    return one_load_result(fit, tool)
+
+
+def one_load_result(fit: RobustFit, tool: StillPoses) -> Identification:
+    """Return what a fit found; its values: moments (4), offsets (6), any others last.
+
+    Raises IdentificationError.
+    """
+    return Identification(
+        load=load_estimate(fit, slice(0, 4), "the load"),
+        adapter=LoadEstimate(0.0, np.zeros(3), np.zeros((4, 4))),
+        offset=fit.values[4:10],
+        offset_std=np.sqrt(np.diag(fit.covariance)[4:10]),
+        offset_change=None,
+        offset_change_std=None,
+        rmse=_rmse(fit.residuals, fit.used),
+        sigma=fit.sigma,
+        used_tool=fit.used,
+        used_bare=np.zeros(0, dtype=bool),
+        outliers=_outliers(fit, np.arange(len(tool)), "tool"),
+        warnings=(
+            *_noise_warnings(fit, tool.std_of_mean),
+            *_bias_drift_warnings(fit, slice(None), "sweep with the tool"),
+        ),
+        unresolved=ONE_LOAD,
+        zeroed=False,
     )
 
 
