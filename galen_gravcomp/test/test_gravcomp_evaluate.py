@@ -23,6 +23,7 @@ from galen_model.files.calibration_file import (
 )
 from galen_model.load.model import Load, gravity_wrench
 from galen_model.rotation import matrix_to_quaternion
+from scipy.spatial.transform import Rotation
 
 LOAD = Load(0.9, np.array([0.002, -0.001, 0.044]))
 OFFSET = np.array([9.0, -1.0, 10.0, 0.4, -0.7, -0.2])
@@ -112,14 +113,16 @@ def test_wrenches_in_the_base_are_turned_back(tmp_path, readings):
         ("fx,fy,fz,tx,ty,roll,tilt\n1,2,3,4,5,6,7\n", "no column 'tz'"),
         ("fx,fy,fz,tx,ty,tz,roll,tilt\n1,2,3,4,5,6,0\n", "line 2 has 7 values"),
         ("fx,fy,fz,tx,ty,tz,roll,tilt\n1,2,3,4,5,x,0,0\n", "line 2, column 'tz': 'x'"),
-        ("fx,fy,fz,tx,ty,tz,roll,tilt\n1,2,3,4,5,nan,0,0\n", "line 2, column 'tz'"),
+        ("fx,fy,fz,tx,ty,tz,roll,tilt\n1,2,3,4,5,nan,0,0\n", "every row lacks a number"),
+        ("fx,fy,fz,tx [lbf],ty,tz,roll,tilt\n1,2,3,4,5,6,0,0\n", "has the unit 'lbf'"),
+        ("fx,fy,fz,tx,ty,tz,roll,pitch,yaw\n1,2,3,4,5,6,0,0,90\n", "are they degrees?"),
         ("fx,fy,fz,tx,ty,tz,roll,tilt\n", "no readings"),
         ("", "no readings"),
         ("1,2,3,4,5,6,7,8\n1,2,3,4,5,6,7,8\n", "line 1 names no columns"),
         ("fx,fx,fy,fz,tx,ty,tz,roll,tilt\n1,1,1,1,1,1,1,1,1\n", "'fx' is there twice"),
         ("fx,fy,fz,tx,ty,tz,qx,qy,qz,qw\n1,2,3,4,5,6,1,1,0,0\n", "line 2: qx qy qz qw"),
         ("fx,fy,fz,tx,ty,tz,gx,gy,gz\n1,2,3,4,5,6,0,0,5\n", "gx gy gz has the length 5"),
-        ("fx;fy;fz;tx;ty;tz;roll;tilt\n1,5;2;3;4;5;6;0;0\n", "'1,5' is not a finite number"),
+        ("fx,fy,fz,tx,ty,tz,roll,tilt\n1,2,3,4,5,inf,0,0\n", "'inf' is not a finite number"),
     ],
 )
 def test_a_bad_table_is_named(tmp_path, text, message, capsys):
@@ -130,6 +133,62 @@ def test_a_bad_table_is_named(tmp_path, text, message, capsys):
     assert "bad.csv" in error
     assert message in error
     assert len(error.strip().splitlines()) == 1
+
+
+def test_tables_as_others_write_them_read_the_same(tmp_path, readings):
+    _, _, rotation, gravity, wrench = readings
+    columns = np.hstack([wrench * [1, 1, 1, 1e3, 1e3, 1e3], gravity])
+    lines = [",".join(map(repr, row)) for row in columns.tolist()]
+    path = tmp_path / "units.csv"
+    header = "Fx [N],Fy [N],Fz [N],Tx [N.mm],Ty [N.mm],Mz (Nmm),gx,gy,gz"
+    path.write_text("\n".join([header, *lines, "nan" + lines[0][lines[0].index(",") :]]))
+    read = read_table(path)
+    np.testing.assert_allclose(read.wrench, wrench, atol=1e-12)
+    assert read.left_out == 1
+    german = "\n".join([header, *lines]).replace(",", ";").replace(".", ",").replace("N,mm", "N.mm")
+    path.write_text(german)
+    np.testing.assert_allclose(read_table(path).wrench, wrench, atol=1e-12)
+    names = "% [gx, gy, gz, fx, fy, fz, tx, ty, tz]"
+    rows = [" ".join(map(repr, row)) for row in np.hstack([gravity, wrench]).tolist()]
+    path.write_text("\n".join(["% gravity and f/t readings", names, *rows]))
+    np.testing.assert_allclose(read_table(path).gravity, gravity, atol=1e-12)
+    euler = Rotation.from_matrix(rotation).as_euler("xyz", degrees=True)
+    rows = [",".join(map(repr, row)) for row in np.hstack([wrench, euler]).tolist()]
+    path.write_text("\n".join(["fx,fy,fz,tx,ty,tz,roll [deg],pitch [deg],yaw [deg]", *rows]))
+    np.testing.assert_allclose(read_table(path).rotation, rotation, atol=1e-9)
+
+
+def test_a_table_has_a_verdict_and_a_wrong_set_up_writes_no_file(tmp_path, readings, capsys):
+    _, _, _, gravity, wrench = readings
+    path, tool = tmp_path / "t.csv", tmp_path / "tool.json"
+    write(path, ["gx", "gy", "gz", *WRENCH], np.hstack([gravity, wrench]))
+    assert main([str(path), "--write-tool", str(tool)]) == 0
+    out = capsys.readouterr().out
+    assert "The load fits, to" in out and "% of its weight" in out and "bias fx (N)" in out
+    tool.unlink()
+    for scale, words in (
+        ([-1, 1, 1, -1, 1, 1], "fx and tx have the wrong sign"),
+        ([1, 1, 1, 1e3, 1e3, 1e3], "torques are in N.mm"),
+    ):
+        write(path, ["gx", "gy", "gz", *WRENCH], np.hstack([gravity, wrench * scale]))
+        assert main([str(path), "--write-tool", str(tool)]) == 1
+        assert words in capsys.readouterr().err
+        assert not tool.exists()
+    assert main([str(path), "--write-tool", str(tool), "--no-setup-check"]) == 0
+    assert tool.exists()
+
+
+def test_a_long_table_is_averaged_and_told_at_once(tmp_path, readings, capsys):
+    _, _, _, gravity, wrench = readings
+    rows = np.repeat(np.hstack([gravity, wrench]), 50, axis=0)
+    path = tmp_path / "long.csv"
+    write(path, ["gx", "gy", "gz", *WRENCH], rows)
+    assert main([str(path), "--json"]) == 0
+    captured = capsys.readouterr()
+    assert "1500 rows look like a recording" in captured.err
+    content = json.loads(captured.out)
+    assert (content["rows"], content["readings"]) == (1500, 200)
+    assert content["fits"] is True
 
 
 def test_held_out_readings_never_reach_the_fit():

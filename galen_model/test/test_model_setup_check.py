@@ -199,3 +199,10 @@ def test_stamps_that_are_apart_are_named(late_s):
     assert f"stamps of the {late} are" in found.sentence
     told = float(found.sentence.split("stamps of the ")[1].split(" are ")[1].split(" s ")[0])
     assert told == pytest.approx(abs(late_s), abs=0.01)
+
+
+def test_axes_without_signal_are_named():
+    angles, wrench = sweep(SIX_AXES)
+    wrench[:, :2] = 0.0
+    found = check_setup(at_angles_of(SIX_AXES, angles, wrench))
+    assert "fx, fy hardly change" in found.sentence

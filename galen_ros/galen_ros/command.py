@@ -108,7 +108,7 @@ def add_topic(options: _Options, option: str, default: str, what: str) -> None:
 
 
 def add_table_columns(options: _Options) -> None:
-    """Add `--columns` and `--wrench-frame` of a table of readings."""
+    """Add `--columns`, `--wrench-frame` and `--no-setup-check` of a table of readings."""
     options.add_argument(
         "--columns",
         metavar="NAMES",
@@ -118,7 +118,12 @@ def add_table_columns(options: _Options) -> None:
         "--wrench-frame",
         choices=("sensor", "base"),
         default="sensor",
-        help="axes that the table's wrenches are written in (default: %(default)s)",
+        help="axes that the wrenches are written in (default: %(default)s)",
+    )
+    options.add_argument(
+        "--no-setup-check",
+        action="store_true",
+        help="go on where a wrong set-up (mount, axes, units, order) explains the readings",
     )
 
 

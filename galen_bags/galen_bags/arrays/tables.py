@@ -1,12 +1,15 @@
 """Tables of readings in text files: of any columns, with orientations, of one run in motion.
 
-Values are apart by commas, semicolons, tabs or blanks, quoted or not, with decimal points; a line
-that starts with # is a comment. Columns, in any order, are named in the first line or by the
-caller. A row of a table with orientations is one reading:
+Values are apart by commas, semicolons (then decimal commas may be), tabs or blanks, quoted or not;
+a line that starts with # or % is a comment. Columns, in any order, are named in the first line, by
+the caller, or in a comment with as many names as there are values. A name may have a unit, as in
+`Fx [N]` or `roll (deg)`. Of a table with orientations a row is one reading; rows in which a value
+is missing or NaN are left out and counted:
 
     fx fy fz tx ty tz       wrench, N and N.m
     and one of
     qx qy qz qw             orientation of the sensor in the base, unit quaternion
+    roll pitch yaw          the same, R = Rz(yaw) Ry(pitch) Rx(roll), rad
     r11 r12 ... r33         R_base_sensor, row by row
     gx gy gz                gravity in the sensor's frame, m/s^2 (or in g: lengths 0.9 to 1.1)
     roll tilt               or what the arm's turning joints are called, rad
@@ -19,6 +22,7 @@ caller. A row of a table with orientations is one reading:
 from __future__ import annotations
 
 import os
+import re
 from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
@@ -30,7 +34,7 @@ from galen_model.arm.galen import GALEN, WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.rest.segments import DirectionRest, rest_by_direction
-from galen_model.rotation import quaternion_to_matrix
+from galen_model.rotation import quaternion_to_matrix, rot_x, rot_y, rot_z
 from scipy.interpolate import CubicSpline
 
 _MOST_BYTES = 1 << 30
@@ -42,7 +46,7 @@ _LARGEST = 1e30
 class TextTable:
     """A file's columns: cells as they are, the numbers (n,) of those that were asked for.
 
-    lines: of each row, its line in the file.
+    lines: of each row, its line in the file. left_out: how many rows lacked a number.
     """
 
     path: Path
@@ -50,6 +54,7 @@ class TextTable:
     rows: list[list[str]]
     lines: list[int]
     numbers: dict[str, Array]
+    left_out: int = 0
 
     def require(self, name: str) -> Array:
         """Return the numbers (n,) of a column; raises GalenError that names those there are."""
@@ -59,16 +64,72 @@ class TextTable:
 
 
 def read_text_table(
-    path: str | os.PathLike[str], known: Collection[str], columns: Sequence[str] | None = None
+    path: str | os.PathLike[str],
+    known: Collection[str],
+    columns: Sequence[str] | None = None,
+    *,
+    leave_out: bool = False,
 ) -> TextTable:
     """Read a table; the columns `known` must hold finite numbers where they are there.
 
-    `columns` names the columns of a file without a first line of names, "-" for one to skip.
+    `columns` names the columns of a file without a first line of names, "-" for one to skip;
+    leave_out: whether rows that lack a number are left out, and counted.
     Raises GalenError naming the file and what is wrong in it.
     """
     path = Path(path)
-    names, rows, lines = _rows(path, columns)
-    return TextTable(path, names, rows, lines, _numbers(path, names, rows, lines, known))
+    headers, rows, lines = _rows(path, columns)
+    named = [_name_and_scale(path, header, known) for header in headers]
+    names = [name for name, _ in named]
+    doubles = sorted(name for name, count in Counter(names).items() if count > 1 and name != "-")
+    if doubles:
+        raise GalenError(f"{path}: column {doubles[0]!r} is there twice")
+    asked = [index for index, name in enumerate(names) if name in known]
+    left_out = 0
+    if leave_out:
+        whole = [row for row, cells in enumerate(rows) if not any(_lacks(cells[k]) for k in asked)]
+        if not whole:
+            raise GalenError(f"{path}: every row lacks a number")
+        left_out = len(rows) - len(whole)
+        rows, lines = [rows[row] for row in whole], [lines[row] for row in whole]
+    numbers = _numbers(path, names, rows, lines, known)
+    for name, scale in named:
+        if name in numbers and scale != 1.0:
+            numbers[name] = numbers[name] * scale
+    return TextTable(path, names, rows, lines, numbers, left_out)
+
+
+_WITH_UNIT = re.compile(r"(.*?)\s*[\[(]([^\])]*)[\])]")
+_UNITS = {
+    **dict.fromkeys(
+        ("", "n", "nm", "n.m", "n·m", "n*m", "s", "rad", "m/s2", "m/s^2", "g", "-"), 1.0
+    ),
+    **dict.fromkeys(("nmm", "n.mm", "n·mm", "n*mm", "mnm", "mn.m", "mn·m", "mn", "ms"), 1e-3),
+    **dict.fromkeys(("us", "µs"), 1e-6),
+    "kgf": STANDARD_GRAVITY_M_S2,
+    **dict.fromkeys(("deg", "°", "degrees"), np.pi / 180.0),
+    **dict.fromkeys(("c", "°c", "degc", "k"), 1.0),
+}
+_ALSO_CALLED = {"time": "t", "mx": "tx", "my": "ty", "mz": "tz"}
+
+
+def _name_and_scale(path: Path, header: str, known: Collection[str]) -> tuple[str, float]:
+    """Return a header's column name, and what makes its numbers SI; raises GalenError."""
+    if header in known:
+        return header, 1.0
+    found = _WITH_UNIT.fullmatch(header)
+    name, unit = (found[1], found[2].strip()) if found else (header, "")
+    lower = name.strip().lower()
+    name = next((one for one in (name, lower, _ALSO_CALLED.get(lower, "")) if one in known), header)
+    if name in known and unit.lower() not in _UNITS:
+        raise GalenError(
+            f"{path}: column {header!r} has the unit {unit!r}; expected one of"
+            f" {', '.join(one for one in _UNITS if one)}"
+        )
+    return name, _UNITS[unit.lower()] if name in known else 1.0
+
+
+def _lacks(cell: str) -> bool:
+    return not cell or cell.lower() in ("nan", "na", "n/a", "null", "none")
 
 
 def _rows(
@@ -86,11 +147,17 @@ def _rows(
     names = [name.strip() for name in columns] if columns else None
     rows: list[list[str]] = []
     lines: list[int] = []
+    comments: list[str] = []
     for number, line in enumerate(text.splitlines(), start=1):
         line = line.strip()
-        if not line or line.startswith("#"):
+        if not line or line[0] in "#%":
+            comments.append(line.strip("#% []"))
             continue
         cells = _split(line)
+        if names is None:
+            listed = [_split(comment) for comment in reversed(comments)]
+            if all(_is_number(cell) for cell in cells):
+                names = next((one for one in listed if len(one) == len(cells)), None)
         if names is None:
             names = cells
             if any(_is_number(cell) for cell in cells):
@@ -104,18 +171,21 @@ def _rows(
         lines.append(number)
     if names is None or not rows:
         raise GalenError(f"{path}: no readings in it")
-    doubles = sorted(name for name, count in Counter(names).items() if count > 1 and name != "-")
-    if doubles:
-        raise GalenError(f"{path}: column {doubles[0]!r} is there twice")
     return names, rows, lines
 
 
 def _split(line: str) -> list[str]:
-    # The comma last: beside another separator it is a decimal comma, and the error names the cell.
+    # The comma last: beside another separator it is a decimal comma.
     for separator in (";", "\t", ","):
         if separator in line:
-            return [cell.strip().strip('"') for cell in line.split(separator)]
+            cells = [cell.strip().strip('"') for cell in line.split(separator)]
+            return cells if separator == "," else [_decimal(cell) for cell in cells]
     return line.split()
+
+
+def _decimal(cell: str) -> str:
+    """Return a number's cell with a decimal point."""
+    return point if _is_number(point := cell.replace(",", ".", 1)) else cell
 
 
 def _is_number(cell: str) -> bool:
@@ -156,6 +226,7 @@ ORIENTATIONS = {
     "gravity": ("gx", "gy", "gz"),
     "matrix": tuple(f"r{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3)),
     "quaternion": ("qx", "qy", "qz", "qw"),
+    "euler angles": ("roll", "pitch", "yaw"),
 }
 """Ways to give an orientation beside the arm's angles; the first that a table has is used."""
 
@@ -167,6 +238,7 @@ TEMPERATURES = {
 """Names of a column of temperatures, and what makes its numbers deg C."""
 
 _ROTATION_TOLERANCE = 1e-2
+_MOST_EULER_RAD = 2.0 * np.pi + 0.1
 _GRAVITY_TOLERANCE = 0.02
 
 
@@ -176,7 +248,8 @@ class OrientationTable:
 
     gravity: (n, 3) in the sensor's frame, m/s^2; wrench: (n, 6) N and N.m in the sensor's frame;
     time: (n,) s or None; block: (n,) of texts or None; rotation: R_base_sensor (n, 3, 3), or None
-    where the table tells gravity alone; arm: whose sensor it is; temperature_c: (n,) deg C or None.
+    where the table tells gravity alone; arm: whose sensor it is; temperature_c: (n,) deg C or None;
+    angles: (n, k) of the arm's turning joints, rad, or None; left_out: rows that lacked a number.
     """
 
     path: str
@@ -188,6 +261,8 @@ class OrientationTable:
     rotation: Array | None = None
     arm: Arm = field(default=GALEN, repr=False)
     temperature_c: Array | None = None
+    angles: Array | None = None
+    left_out: int = 0
 
     def __len__(self) -> int:
         """Return the number of readings."""
@@ -205,6 +280,7 @@ class OrientationTable:
             block=block,
             rotation=rotation,
             temperature_c=None if self.temperature_c is None else self.temperature_c[rows],
+            angles=None if self.angles is None else self.angles[rows],
         )
 
     def timed(self) -> OrientationTable:
@@ -214,7 +290,8 @@ class OrientationTable:
 
 def _read(path: str | os.PathLike[str], columns: Sequence[str] | None, arm: Arm) -> TextTable:
     known = {name for needed in _ways(arm).values() for name in needed}
-    return read_text_table(path, {"t", *WRENCH_AXES, *TEMPERATURES, *known}, columns)
+    names = {"t", *WRENCH_AXES, *TEMPERATURES, *known}
+    return read_text_table(path, names, columns, leave_out=True)
 
 
 def _ways(arm: Arm) -> dict[str, tuple[str, ...]]:
@@ -260,6 +337,9 @@ def read_table(
     return OrientationTable(
         str(text.path), gravity, wrench, time, block, kind, rotation, arm,
         temperature[0] if temperature else None,
+        np.column_stack([text.numbers[name] for name in arm.turning_names])
+        if kind == "joints" else None,
+        text.left_out,
     )  # fmt: skip
 
 
@@ -283,6 +363,37 @@ def read_orientations(
     """
     text = _read(path, columns, arm)
     return _time(text), _orientation(text, arm)[0]
+
+
+def average_runs(table: OrientationTable, most: int) -> OrientationTable:
+    """Average neighbours of a recording in motion, so that at most `most` readings are left."""
+    count = len(table)
+    run = np.arange(count) * most // count
+    first = np.flatnonzero(np.diff(run, prepend=-1))
+
+    def mean(column: Array | None) -> Array | None:
+        if column is None:
+            return None
+        length = np.diff(np.append(first, count))
+        sums = np.add.reduceat(column, first, axis=0)
+        return np.asarray(sums / length.reshape(-1, *[1] * (column.ndim - 1)))
+
+    rotation = mean(table.rotation)
+    if rotation is not None:  # the nearest rotation to the mean of neighbours
+        left, _, right = np.linalg.svd(rotation)
+        rotation = left @ right
+    wrench, gravity = mean(table.wrench), mean(table.gravity)
+    assert wrench is not None and gravity is not None
+    return replace(
+        table,
+        wrench=wrench,
+        gravity=gravity,
+        time=mean(table.time),
+        block=None,
+        rotation=rotation,
+        temperature_c=mean(table.temperature_c),
+        angles=mean(table.angles),
+    )
 
 
 def average_still(
@@ -380,6 +491,13 @@ def _orientation(text: TextTable, arm: Arm) -> tuple[Array, Array | None, str]:
 
 
 def _rotation(path: Path, cells: Array, kind: str, lines: list[int]) -> Array:
+    if kind == "euler angles":
+        if np.max(np.abs(cells)) > _MOST_EULER_RAD:
+            raise GalenError(
+                f"{path}: roll, pitch, yaw reach {np.max(np.abs(cells)):g}: are they degrees? Name"
+                " the columns roll [deg], pitch [deg], yaw [deg]"
+            )
+        return rot_z(cells[:, 2]) @ rot_y(cells[:, 1]) @ rot_x(cells[:, 0])
     if kind == "quaternion":
         bad = np.abs(np.linalg.norm(cells, axis=1) - 1.0) > _ROTATION_TOLERANCE
         what = "qx qy qz qw is not a unit quaternion"

@@ -23,6 +23,7 @@ from galen_bags.formats.files import (
     STORAGES,
     ZSTD_ENDING,
     listed_files,
+    ros1_text,
     storage_files,
     storage_of,
 )
@@ -133,9 +134,7 @@ class Bag:
 
     def _open(self, path: Path) -> McapFile | SqliteFile:
         if path.suffix == ".bag":
-            raise BagError(
-                f"{path}: is a bag of ROS 1; convert it: rosbags-convert --src {path} --dst NEW"
-            )
+            raise BagError(ros1_text(path))
         if storage_of(path) not in STORAGES:
             raise BagError(f"{path}: is no bag (.mcap, .db3 or a directory of them)")
         if path.suffix == ZSTD_ENDING:

@@ -122,6 +122,8 @@ def find_bags(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
         try:
             if not path.exists():
                 raise BagError(f"{path}: is not there")
+            if path.is_file() and path.suffix == ".bag":
+                raise BagError(ros1_text(path))
             if path.is_file() and not path.name.endswith(_FILES):
                 raise BagError(f"{path}: is no bag; files of bags end in {', '.join(_FILES)}")
             bags = list(_below(path, set()))
@@ -132,6 +134,11 @@ def find_bags(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
         if not bags:
             raise BagError(f"{path}: no bag in it")
     return sorted(found.values())
+
+
+def ros1_text(path: Path) -> str:
+    """Say what to do with a bag of ROS 1."""
+    return f"{path}: is a bag of ROS 1; convert it: rosbags-convert --src {path} --dst NEW"
 
 
 def is_bag(path: Path) -> bool:

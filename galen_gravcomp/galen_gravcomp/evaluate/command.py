@@ -20,6 +20,7 @@ from galen_model.errors import CalibrationFileError, GalenError, IdentificationE
 from galen_model.evidence.verdict import Limits
 from galen_model.files.calibration_file import calibration_path, read_calibration, write_calibration
 from galen_model.load.mounting.mounting import entities
+from galen_model.setup_check.check import SetupError
 from galen_ros.arm import arm_parameters, chosen_arm
 from galen_ros.command import (
     EXIT_FAILED,
@@ -45,7 +46,7 @@ from galen_gravcomp.evaluate.imu_run import imu_run_report
 from galen_gravcomp.evaluate.options import NODE_OPTIONS, build_parser
 from galen_gravcomp.evaluate.report import Report
 from galen_gravcomp.evaluate.table_report import scores_report
-from galen_gravcomp.evaluate.table_scores import evaluate_table, tool_from_table
+from galen_gravcomp.evaluate.table_scores import MOST_READINGS, evaluate_table, tool_from_table
 from galen_gravcomp.parameters import GravcompParameters
 
 _CELL_LIMITS_S = 1e-3, 3600.0
@@ -132,6 +133,12 @@ def _evaluate_table(arguments: argparse.Namespace) -> Report:
     check_file(written)
     arm, columns = chosen_arm(arguments), _columns(arguments)
     table = read_table(arguments.inputs[0], columns, arguments.wrench_frame, arm)
+    if len(table) > MOST_READINGS and arguments.average_s is None:
+        print(
+            f"evaluate: {len(table)} rows look like a recording, and are averaged; --average-s"
+            " SECONDS averages at rest alone",
+            file=sys.stderr,
+        )
     result = evaluate_table(
         table,
         average_window_s=arguments.average_s,
@@ -142,6 +149,10 @@ def _evaluate_table(arguments: argparse.Namespace) -> Report:
     if written is not None:
         if result.chosen.fault:
             raise IdentificationError(result.chosen.fault)
+        if result.fits is False and not arguments.no_setup_check:
+            raise SetupError(
+                f"{written} is not written: {result.verdict}. --no-setup-check writes it"
+            )
         tool = tool_from_table(written.stem, result.table, result.fit, result.mounted)
         write_calibration(written, tool)
         found.shown.append(f"written: {written}")

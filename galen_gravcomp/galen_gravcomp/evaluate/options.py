@@ -30,7 +30,7 @@ _USAGE = """evaluate BAG... (--tool FILE | --tool-beside NAME) [options]
        evaluate TABLE [--tool FILE] [options]
        evaluate TABLE --run WRENCH IMU ORIENTATIONS [options]
        evaluate BAG|TABLE... --drift [--tool FILE] [options]"""
-_NOTES = """BAG: rosbag2 directory, .mcap, .db3, ROS 1 .bag, or a folder that is searched for
+_NOTES = """BAG: rosbag2 directory, .mcap, .db3, or a folder that is searched for
 them: does the calibration file still fit the recording, and where not?
 TABLE: .csv, .txt, .tsv or .dat with fx fy fz tx ty tz (N, N.m; a push reads positive in
 its direction) and one of gx gy gz | r11..r33 (R_base_sensor) | qx qy qz qw (sensor in

@@ -6,11 +6,15 @@ from typing import Any
 
 import numpy as np
 from galen_model.arm.arm import STANDARD_GRAVITY_M_S2
+from galen_model.arm.galen import WRENCH_AXES
+from rich.markup import escape
 from rich.table import Table
 
 from galen_gravcomp.evaluate.report import Report, axes_table, axis_cells, by_axis, table
 from galen_gravcomp.evaluate.residual import rms
 from galen_gravcomp.evaluate.table_scores import TableEvaluation
+
+_COLOURS = {True: "green", None: "yellow", False: "red"}
 
 
 def scores_report(result: TableEvaluation) -> Report:
@@ -32,6 +36,10 @@ def _content(result: TableEvaluation) -> dict[str, Any]:
             "weight_N": load.mass_kg * STANDARD_GRAVITY_M_S2,
         },
         "offset": result.fit.offset.tolist(),
+        "fits": result.fits,
+        "verdict": result.verdict,
+        "setup": None if result.setup is None else result.setup.to_json(),
+        "rows_left_out": result.table.left_out,
         "left_out": (np.flatnonzero(~result.fit.used) + 1).tolist(),
         "scatter_within_phases": None if result.scatter is None else result.scatter.tolist(),
         "scores": {
@@ -73,6 +81,7 @@ def _shown(result: TableEvaluation) -> list[str | Table]:
         source += f", {len(result.table)} averages in {result.phases} rest segments"
     shown: list[str | Table] = [
         f"[bold]{result.table.path}[/bold]: {source}; orientation from {result.table.orientation}",
+        f"[{_COLOURS[result.fits]}]{escape(result.verdict)}[/]",
         _load_table(result),
     ]
     shown.append(f"chosen: {result.chosen.words}; {result.chosen.reason}")
@@ -96,6 +105,10 @@ def _load_table(result: TableEvaluation) -> Table:
     made.add_row("mass (g)", f"{load.mass_kg * 1e3:.2f}", f"{load.mass_std_kg * 1e3:.2f}")
     for axis, com, std in zip("xyz", load.com_m, load.com_std_m, strict=True):
         made.add_row(f"centre {axis} (mm)", f"{com * 1e3:.2f}", f"{std * 1e3:.2f}")
+    made.add_section()
+    for axis, value in zip(WRENCH_AXES, result.fit.offset, strict=True):
+        unit, scale = ("N", 1.0) if axis[0] == "f" else ("mN.m", 1e3)
+        made.add_row(f"bias {axis} ({unit})", f"{value * scale:.3f}", "")
     if result.mounted is not None:
         made.add_section()
         mounted = result.mounted.single.load

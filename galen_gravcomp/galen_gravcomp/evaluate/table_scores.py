@@ -10,7 +10,8 @@ from datetime import UTC, datetime
 from functools import partial
 
 import numpy as np
-from galen_bags.arrays.tables import OrientationTable, average_still
+from galen_bags.arrays.tables import OrientationTable, average_runs, average_still
+from galen_model.arm.arm import STANDARD_GRAVITY_M_S2
 from galen_model.arrays import Array
 from galen_model.errors import GalenError, IdentificationError
 from galen_model.evidence.block_gain import MOUNTED, PLAIN, ROBUST, Worth, compare
@@ -20,8 +21,14 @@ from galen_model.load.identification import SingleLoad, identify_single_load, pl
 from galen_model.load.model import gravity_regressor
 from galen_model.load.mounting.identification import MountedLoad, identify_single_load_mounted
 from galen_model.rest.segments import DirectionRest
+from galen_model.setup_check.check import SetupError, SetupFinding, check_setup
+from galen_model.setup_check.readings import StillReadings, fit_load
 
 _FEWEST_READINGS = 4
+MOST_READINGS = 500
+"""More are a recording, which is averaged: the time of a fit grows with the readings."""
+_AVERAGES = 200
+_FITS, _DOES_NOT_FIT = 0.02, 0.3  # residual over change; sensors promise 0.5 to 1.5 % of full scale
 _MOST_LEFT_OUT_ONE_BY_ONE = 200  # each takes a fit of all others
 _CHOSEN = "galen, chosen"
 _UNRESOLVED = (
@@ -136,7 +143,7 @@ class TableEvaluation:
 
     phases: how many rest segments were averaged, with their scatter (6,); None: it was no
     recording. chosen: the model that blocks choose, and why; fit: its load. mounted, worth: with
-    the mounting groups asked for, and whether they pay.
+    the mounting groups asked for, and whether they pay. setup: a wrong set-up, or None.
     """
 
     table: OrientationTable
@@ -151,6 +158,43 @@ class TableEvaluation:
     notes: list[str] = field(default_factory=list)
     mounted: MountedLoad | None = None
     worth: Worth | None = None
+    setup: SetupFinding | None = None
+
+    @property
+    def relative(self) -> Array:
+        """Residual of forces and torques (2,) over how they change."""
+        return fit_load(_still_readings(self.table)).relative
+
+    @property
+    def fits(self) -> bool | None:
+        """Whether the load fits; None: not well, and not badly."""
+        if self.setup is not None or self.relative[0] > _DOES_NOT_FIT:
+            return False
+        return True if self.relative[0] < _FITS else None
+
+    @property
+    def verdict(self) -> str:
+        """Whether the load fits, to what, and against its weight, in a sentence."""
+        if self.setup is not None:
+            return f"The load does not fit. {self.setup.sentence}"
+        residual = self.table.wrench[self.fit.used] - self.fit.predict(
+            self.table.gravity[self.fit.used]
+        )
+        force, torque = (np.sqrt(np.mean(part**2)) for part in np.split(residual, 2, axis=1))
+        weight = self.fit.load.mass_kg * STANDARD_GRAVITY_M_S2
+        size = f"{force:.3g} N and {torque * 1e3:.3g} mN.m, {force / weight:.2%} of its weight"
+        if self.fits:
+            return f"The load fits, to {size}"
+        if self.fits is None:
+            return f"The load fits to {size}, more than sensors promise: `diagnose` names the cause"
+        return (
+            f"The load does not fit: the residual is {size}. Was the tool touched, do the"
+            " orientations belong to the readings?"
+        )
+
+
+def _still_readings(table: OrientationTable) -> StillReadings:
+    return StillReadings(table.wrench, table.gravity, table.arm, table.rotation, table.angles)
 
 
 def evaluate_table(
@@ -164,7 +208,16 @@ def evaluate_table(
     mounting: groups to estimate beside the load, in a model of its own.
     """
     source_rows, phases, scatter = len(table), None, None
-    if average_window_s is not None:
+    read_notes = []
+    if table.left_out:
+        read_notes.append(f"{table.left_out} rows left out: a number is missing or NaN")
+    if average_window_s is None and len(table) > MOST_READINGS:
+        table = average_runs(table, _AVERAGES)
+        read_notes.append(
+            f"{source_rows} rows are a recording: averaged to {len(table)} readings, also in"
+            " motion; --average-s SECONDS averages at rest alone"
+        )
+    elif average_window_s is not None:
         table, scatter = average_still(table, average_window_s, DirectionRest())
         assert table.block is not None
         phases = len(np.unique(table.block))
@@ -173,7 +226,27 @@ def evaluate_table(
             f"{table.path}: {len(table)} readings; at least {_FEWEST_READINGS} are needed to hold"
             " some out"
         )
+    setup = check_setup(_still_readings(table))
+    try:
+        return _evaluated(table, source_rows, phases, scatter, tool, mounting, setup, read_notes)
+    except IdentificationError as error:
+        if setup is None:
+            raise
+        raise SetupError(f"{table.path}: {setup.sentence}") from error
+
+
+def _evaluated(
+    table: OrientationTable,
+    source_rows: int,
+    phases: int | None,
+    scatter: Array | None,
+    tool: CalibrationFile | None,
+    mounting: tuple[str, ...],
+    setup: SetupFinding | None,
+    read_notes: list[str],
+) -> TableEvaluation:
     splits, notes = _splits(table, phases)
+    notes += read_notes
     models: dict[str, Model] = {PLAIN: plain_model, ROBUST: robust_model}
     mounted = None
     if mounting:
@@ -209,7 +282,7 @@ def evaluate_table(
     residuals = None if tool is None else table.wrench - table_prediction(tool, table)
     return TableEvaluation(
         table, source_rows, phases, chosen, fit, scores, scatter, tool, residuals, notes, mounted,
-        worth,
+        worth, setup,
     )  # fmt: skip
 
 

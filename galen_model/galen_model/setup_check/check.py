@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.setup_check.mistakes import KINDS, Corrected
@@ -28,6 +29,7 @@ _TURNED_M_S2 = 2.0  # gravity changes by so much, root mean square, before anyth
 _LIGHT_N = 0.1  # and forces by so much
 _UNEXPLAINED_N = 1.0  # a residual that nothing on the list explains is told from here on
 _MOST_TOLD = 4
+_DEAD = 0.02
 
 
 class SetupError(GalenError):
@@ -70,11 +72,13 @@ class SetupFinding:
         fit: the load that fits to the readings as they are.
         explanations: which mistakes explain them, all about as well; those told first are more
             common. Empty where none on the list does.
+        dead: axes of force that hardly change, where others do.
 
     """
 
     fit: LoadFit
     explanations: tuple[Explanation, ...]
+    dead: tuple[str, ...] = ()
 
     @property
     def trouble(self) -> str:
@@ -89,6 +93,10 @@ class SetupFinding:
         parts = [self.trouble]
         if not self.explanations:
             parts.append("none of the common mistakes of a set-up explains it")
+        if not self.explanations and self.dead:
+            parts.append(
+                f"forces {', '.join(self.dead)} hardly change: does the sensor measure them?"
+            )
         told = self.explanations[:_MOST_TOLD]
         for index, one in enumerate(told):
             instead = "" if self.trouble == self.fit.fault else f", instead of {_sizes(self.fit)}"
@@ -166,7 +174,14 @@ def check_setup(readings: StillReadings, noise: Array | None = None) -> SetupFin
     if good:
         return SetupFinding(fit, _best(good))
     gross = fit.fault or (fit.relative[0] > 0.5 and fit.residual[0] > _UNEXPLAINED_N)
-    return SetupFinding(fit, ()) if gross else None
+    return SetupFinding(fit, (), _dead_axes(readings)) if gross else None
+
+
+def _dead_axes(readings: StillReadings) -> tuple[str, ...]:
+    """Name axes of force that hardly change although gravity along them does."""
+    force, gravity = np.std(readings.wrench[:, :3], axis=0), np.std(readings.gravity, axis=0)
+    dead = (force < _DEAD * force.max()) & (gravity > 0.2 * gravity.max())
+    return tuple(name for name, out in zip(WRENCH_AXES[:3], dead, strict=True) if out)
 
 
 def check_fit(readings: StillReadings, mistake: Corrected) -> SetupFinding | None:
