@@ -6,11 +6,14 @@ The compensation needs no more of the joints than the direction of gravity in th
 
 so any sensor's orientation can be given by a roll and a tilt:
 
-    roll = atan2(-u_y, |(u_x, u_z)|) in -90 to 90 degrees,   tilt = atan2(u_z, u_x), without steps.
+    roll = atan2(-u_y, |(u_x, u_z)|) in -90 to 90 degrees,   tilt = atan2(u_z, u_x),
+
+without steps, unless it would wind up over more than a turn.
 
 Where gravity lies along y (roll at 90 degrees) tilt has no meaning, and the last one is kept.
 Angles may lie beyond the Galen's limits; the platform stands at home. A turn about the direction of
-gravity is lost, and so is where the sensor's frame stands on its robot.
+gravity is lost, and so is where the sensor's frame stands on its robot. A table of another arm's
+joint angles (`--urdf`) keeps them, for commands that are given the same description.
 """
 
 from __future__ import annotations
@@ -18,13 +21,17 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
+from galen_model.setup_check.check import SetupError, require_setup
+from galen_model.setup_check.readings import StillReadings
+from galen_ros.arm import add_arm, chosen_arm
 from galen_ros.cdr import NS_PER_S, joint_state_bytes, wrench_bytes
 from galen_ros.command import (
     EXIT_OK,
@@ -37,11 +44,18 @@ from galen_ros.command import (
 )
 
 from galen_bags.arrays.arm_recording import JOINT_STATE_TYPE, WRENCH_TYPE
-from galen_bags.arrays.tables import read_orientations, read_table, read_wrenches
+from galen_bags.arrays.tables import (
+    OrientationTable,
+    average_runs,
+    read_orientations,
+    read_table,
+    read_wrenches,
+)
 from galen_bags.formats.writer import BagWriter
 
 _UNITS_NS = {"s": NS_PER_S, "ms": 1_000_000, "us": 1_000, "ns": 1}
 _NO_TILT = 1e-6  # |(u_x, u_z)| below which tilt has no meaning
+_CHECKED = 200  # readings that the set-up is checked on
 _LAST_STAMP_NS = 2**31 * NS_PER_S  # a message's seconds are an int32
 
 _NOTES = """columns, named in a file's first line or by --columns:
@@ -71,6 +85,7 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("-o", "--output", required=True, metavar="BAG", help="the new bag")
     add_table_columns(parser)
+    add_arm(parser)
     parser.add_argument(
         "--time-unit", choices=tuple(_UNITS_NS), default="s", help="unit of t (default: s)"
     )
@@ -87,32 +102,55 @@ def build_parser() -> argparse.ArgumentParser:
 class Measured:
     """Wrenches and orientations, each with its own stamps (ns) in the file's order.
 
-    wrench (n, 6) N and N.m, gravity (m, 3) in the sensor's frame, any length.
+    wrench (n, 6) N and N.m, gravity (m, 3) in the sensor's frame, any length. arm: whose joints are
+    written; angles (m, k): its turning joints', rad, None: those that turn gravity so.
     """
 
     wrench_stamp_ns: np.ndarray
     wrench: Array
     gravity_stamp_ns: np.ndarray
     gravity: Array
+    arm: Arm = GALEN
+    angles: Array | None = None
 
 
 def read_measured(arguments: argparse.Namespace) -> Measured:
-    """Read the tables that the command's options name; raises GalenError."""
+    """Read the tables that the command's options name; raises GalenError.
+
+    SetupError where a wrong set-up explains the readings, unless the options allow it.
+    """
     unit, file = arguments.time_unit, arguments.table or arguments.wrench
+    arm = chosen_arm(arguments)
     if not arguments.table:
         wrench_time, wrench = read_wrenches(arguments.wrench)
-        gravity_time, gravity = read_orientations(arguments.orientations)
+        gravity_time, gravity = read_orientations(arguments.orientations, arm=arm)
         return _stamped(file, [wrench_time, gravity_time], unit, wrench, gravity)
     columns = arguments.columns.split(",") if arguments.columns else None
-    table = read_table(file, columns, arguments.wrench_frame)
+    table = read_table(file, columns, arguments.wrench_frame, arm)
     time = table.time
     if time is None and arguments.rate_hz is None:
         raise GalenError(f"{file}: no column 't'; give the readings' --rate-hz")
     if time is not None and arguments.rate_hz is not None:
         raise GalenError(f"{file}: has a column 't'; --rate-hz is for tables without")
+    if not arguments.no_setup_check:
+        _check_setup(file, table)
     if time is None:
         time, unit = np.arange(len(table)) / arguments.rate_hz, "s"
-    return _stamped(file, [time, time], unit, table.wrench, table.gravity)
+    measured = _stamped(file, [time, time], unit, table.wrench, table.gravity)
+    if table.angles is None or arm.joint_names == GALEN.joint_names:
+        return measured
+    return replace(measured, arm=arm, angles=table.angles)
+
+
+def _check_setup(file: str, table: OrientationTable) -> None:
+    """Raise SetupError where a wrong set-up explains the readings."""
+    some = average_runs(table, _CHECKED) if len(table) > _CHECKED else table
+    try:
+        require_setup(
+            StillReadings(some.wrench, some.gravity, some.arm, some.rotation, some.angles)
+        )
+    except SetupError as error:
+        raise SetupError(f"{file}: {error}; --no-setup-check converts it") from error
 
 
 def _stamped(
@@ -161,7 +199,10 @@ def angles_of(gravity: Array) -> tuple[Array, np.ndarray]:
     last = known[np.maximum(np.searchsorted(known, np.arange(len(unit)), side="right") - 1, 0)]
     tilt = np.unwrap(angles[known, 1])[np.searchsorted(known, last)]
     turns = np.round(np.median(tilt) / (2.0 * np.pi))  # keep it near zero, as an arm's angles are
-    angles[:, 1] = tilt - 2.0 * np.pi * turns
+    tilt = tilt - 2.0 * np.pi * turns
+    # Readings one by one, which don't follow each other, would wind up over several turns.
+    wound = np.max(np.abs(tilt)) > 2.0 * np.pi
+    angles[:, 1] = np.arctan2(np.sin(tilt), np.cos(tilt)) if wound else tilt
     return angles, lost
 
 
@@ -175,10 +216,12 @@ def write_measured(path: str, measured: Measured) -> tuple[Array, int]:
         The joints (m, n), m and rad, and how many orientations have no tilt of their own.
 
     """
-    angles, lost = angles_of(measured.gravity)
-    joints = GALEN.with_angles(angles)
+    arm, angles, lost = measured.arm, measured.angles, np.zeros(0, dtype=bool)
+    if angles is None:
+        angles, lost = angles_of(measured.gravity)
+    joints = arm.with_angles(angles)
     velocities = _velocities(measured.gravity_stamp_ns, joints)
-    states, forces = joint_state_bytes(GALEN.joint_names), wrench_bytes(GALEN.sensor_frame)
+    states, forces = joint_state_bytes(arm.joint_names), wrench_bytes(arm.sensor_frame)
     stamps = (measured.gravity_stamp_ns, measured.wrench_stamp_ns)
     log_ns = np.concatenate([np.maximum.accumulate(one) for one in stamps])
     stamp_ns = np.concatenate(stamps)
@@ -223,7 +266,8 @@ def convert(arguments: argparse.Namespace) -> list[str]:
         lines.append(f"{name}: {len(stamps)} messages over {duration_s:.3f} s{rate}")
         if back := int(np.sum(np.diff(stamps) <= 0)):
             lines.append(f"{name}: {back} stamps are not after the one before them")
-    for name, angles in zip(GALEN.turning_names, GALEN.angles(joints).T, strict=True):
+    arm = measured.arm
+    for name, angles in zip(arm.turning_names, arm.angles(joints).T, strict=True):
         lines.append(f"{name}: {angles.min():.4f} to {angles.max():.4f} rad")
     if lost:
         lines.append(

@@ -9,6 +9,7 @@ from galen_bags.convert import angles_of, main, stamps_ns
 from galen_model.arm.galen import GALEN, GRAVITY_M_S2
 from galen_model.load.model import Load, gravity_wrench
 from galen_model.rotation import matrix_to_quaternion, quaternion_to_matrix, rotvec_to_matrix
+from scipy.spatial.transform import Rotation
 
 LOAD = Load(0.9, np.array([0.002, -0.001, 0.044]))
 OFFSET = np.array([9.0, -1.0, 10.0, 0.4, -0.7, -0.2])
@@ -123,6 +124,27 @@ def test_where_tilt_has_no_meaning_the_last_one_is_kept():
     assert found[:, 0] == pytest.approx([half_pi] * 3)
     assert found[:, 1].tolist() == [0.0] * 3
     assert lost.all()
+
+
+def test_gravity_is_the_options_and_a_wrong_one_is_named(tmp_path, capsys):
+    """On a wall gravity is along x of the base; readings one by one don't wind tilt up."""
+    rng = np.random.default_rng(3)
+    rotation = Rotation.random(24, rng).as_matrix()
+    down = np.einsum("nji,j->ni", rotation, [9.80665, 0.0, 0.0])
+    wrench = gravity_wrench(down, LOAD) + 0.01 * rng.normal(size=(24, 6)) * [1, 1, 1, 0.1, 0.1, 0.1]
+    quaternion = Rotation.from_matrix(rotation).as_quat()
+    table = tmp_path / "t.csv"
+    write(table, ["qx", "qy", "qz", "qw", *WRENCH], quaternion, wrench)
+    bag = tmp_path / "bag"
+    command = [str(table), "--rate-hz", "1", "-o", str(bag)]
+    assert main(command) == 1
+    assert "--gravity 9.80665 0 0" in capsys.readouterr().err
+    assert not bag.exists()
+    assert main([*command, "--gravity", "9.80665", "0", "0"]) == 0
+    recording = read_arm(bag)
+    turned = GALEN.gravity_in_sensor(GALEN.angles(recording.joints))
+    np.testing.assert_allclose(turned, down, atol=1e-6)
+    assert np.all(np.abs(recording.joints) < 3.2)
 
 
 @pytest.mark.parametrize(
