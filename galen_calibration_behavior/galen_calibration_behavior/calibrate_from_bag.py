@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from galen_bags.arrays.arm_recording import ArmTopics, arm_of_bag
+from galen_bags.arrays.arm_recording import arm_of_bag, topics_of
 from galen_bags.formats.bag import open_bag
 from galen_bags.formats.files import is_bag
 from galen_model.arm.arm import Arm
@@ -25,7 +25,16 @@ from galen_model.poses.design import compensation_std, reading_noise
 from galen_model.poses.order import drift_price
 from galen_model.poses.plan import order_poses, plan_as_is
 from galen_ros.arm import add_arm, arm_parameters, chosen_arm, names_of_joints
-from galen_ros.command import EXIT_FAILED, EXIT_OK, add_json, make_parser, positive, run_command
+from galen_ros.command import (
+    EXIT_FAILED,
+    EXIT_OK,
+    add_arm_topics,
+    add_json,
+    add_wrench_frame,
+    make_parser,
+    positive,
+    run_command,
+)
 from galen_ros.parameters import ParameterError, checked, param_fields
 
 from galen_bags import BagError
@@ -167,11 +176,13 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--dry-run", action="store_true", help="print what is found, write nothing")
     add_json(parser)
     add_arm(parser)
-    _add_recording_options(parser.add_argument_group("where things are in the recording"))
+    recording = parser.add_argument_group("where things are in the recording")
+    add_arm_topics(recording)
+    add_wrench_frame(recording)
     options = parser.parse_intermixed_args(arguments)  # TOOL, options, BAG in any order
     try:
         arm = _arm(options)
-        names_of_joints(options.joint_names, arm)
+        names_of_joints(topics_of(options).joint_names, arm)
         options.parameters = _parameters(options.param, arm)
         if not options.propose_poses:
             check_tool_name(options.tool or "")
@@ -249,19 +260,6 @@ def _add_estimate_options(group: argparse._ArgumentGroup) -> None:
     )
 
 
-def _add_recording_options(group: argparse._ArgumentGroup) -> None:
-    topics = ArmTopics()
-    group.add_argument("--joint-states", default=topics.joint_states, metavar="TOPIC")
-    group.add_argument("--wrench-raw", default=topics.wrench_raw, metavar="TOPIC")
-    group.add_argument(
-        "--joint-names",
-        nargs="+",
-        default=(),
-        metavar="NAME",
-        help="names of the joints (default: the arm's)",
-    )
-
-
 def _arm(options: argparse.Namespace) -> Arm:
     """Return the arm of the options, else of the recording's description, else the Galen.
 
@@ -270,12 +268,11 @@ def _arm(options: argparse.Namespace) -> Arm:
     bag = options.bag or options.bare
     if bag is None or not is_bag(Path(bag)):  # the error is for what reads it
         return chosen_arm(options)
-    topics = ArmTopics(options.joint_states, options.wrench_raw)
     try:
         with open_bag(bag) as opened:
-            return arm_of_bag(opened, arm_parameters(options), topics)
-    except BagError:  # likewise
-        return chosen_arm(options)
+            return arm_of_bag(opened, arm_parameters(options), topics_of(options))
+    except BagError:
+        raise
     except GalenError as error:
         if options.urdf or options.sensor_frame:
             raise

@@ -54,10 +54,13 @@ def write_robot(
     degrees=None,
     others=(),
     seed=1,
+    in_base=False,
+    stamped=True,
 ):
     """Poses without the tool and the same with it, at 100 Hz, moved in between.
 
-    degrees: of the sensor, by time in s.
+    degrees: of the sensor, by time in s. in_base: wrenches are in the axes of the base; stamped:
+    whether they have a stamp.
     """
     rng = np.random.default_rng(seed)
     visited = [START, *(START + np.r_[0, 0, 0, rng.uniform(-1.3, 1.3, 3)] for _ in range(poses))]
@@ -87,11 +90,15 @@ def write_robot(
                     if tool:
                         wrench = wrench + gravity_wrench(gravity, TOOLS["retractor"].load)
                     noisy = wrench + SENSOR.noise_std * rng.standard_normal(6)
+                    if in_base:
+                        turn = ARM.rotation(q)
+                        noisy = np.concatenate([turn @ noisy[:3], turn @ noisy[3:]])
                     if joints_topic:
                         data = states.fill(stamp, q[order].tolist(), [0.0] * 6)
                         writer.write(joints, stamp, data)
                     for topic in wrenches:
-                        writer.write(topic, stamp, forces.fill(stamp, noisy.tolist()))
+                        own = stamp if stamped else 0
+                        writer.write(topic, stamp, forces.fill(own, noisy.tolist()))
                     if degrees and k % 50 == 0:
                         writer.write(warm, stamp, temperature_bytes(stamp, degrees(time_s)))
                 now = pose
@@ -132,7 +139,7 @@ def test_arm_frame_and_topics_are_found_in_the_recording(tmp_path, capsys):
     [
         (
             {"wrench_topics": ("/left/ft", "/right/ft")},
-            "it has /left/ft, /right/ft; name the one to read (--wrench-raw TOPIC)",
+            "it has /left/ft, /right/ft; name the one to read: --wrench-raw TOPIC",
         ),
         ({"wrench_topics": ("/ft/compensated",)}, "record the sensor's own readings"),
         (
@@ -181,3 +188,33 @@ def test_temperature_beside_the_wrenches_is_that_of_each_pose(tmp_path):
     for visit in find_visits(recording, settings).visits:
         true = 20.0 + 0.1 * (visit.outcome.stamp_ns / NS - 1_700_000_000)
         assert visit.outcome.temperature_c == pytest.approx(true, abs=1e-3)
+
+
+def test_wrenches_in_the_axes_of_the_base_are_turned_back_where_it_is_said(tmp_path, capsys):
+    bag = write_robot(tmp_path / "robot", frame="base_link", in_base=True)
+    with pytest.raises(SystemExit):
+        run(capsys, bag)
+    error = capsys.readouterr().err
+    assert "has frame_id 'base_link'" in error and "--wrench-frame base" in error
+    code, _, error = run(capsys, bag, "--sensor-frame", "tool0")
+    assert code == 1 and "written in the axes of base_link" in error
+    code, found, error = run(capsys, bag, "--sensor-frame", "tool0", "--wrench-frame", "base")
+    assert (code, error) == (0, "")
+    check_found(found)
+
+
+def test_wrenches_without_stamps_are_named_and_log_times_taken_where_it_is_said(tmp_path, capsys):
+    bag = write_robot(tmp_path / "robot", stamped=False)
+    code, _, error = run(capsys, bag)
+    assert code == 1 and "wrench is not stamped" in error and "--log-times" in error
+    code, found, error = run(capsys, bag, "--log-times")
+    assert (code, error) == (0, "")
+    check_found(found)
+
+
+def test_a_frame_that_is_none_of_the_arm_is_named(tmp_path, capsys):
+    bag = write_robot(tmp_path / "robot", poses=1, frame="camera")
+    with pytest.raises(SystemExit):
+        run(capsys, bag)
+    error = capsys.readouterr().err
+    assert "has frame_id 'camera'" in error and "--sensor-frame" in error

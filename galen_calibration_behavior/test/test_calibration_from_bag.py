@@ -136,7 +136,7 @@ def test_a_wrong_set_up_is_named_and_nothing_is_written_unless_it_is_said(capsys
     [
         ([POINTER_BAG, "--one-sweep"], "the load is another from"),
         ([str(BAGS / "free_motion")], "still pose"),
-        ([POINTER_BAG, "--joint-names", "a", "b", "c", "d", "e"], "joint"),
+        ([POINTER_BAG, "--joint-names", "a,b,c,d,e"], "joint"),
         ([POINTER_BAG, "--wrench-raw", "ft/wrench"], "/wrench_raw"),
         ([str(BAGS / "nowhere")], "nowhere"),
         ([POINTER_BAG, "-p", "min_samples:=400"], "only 101 samples"),
@@ -187,7 +187,7 @@ def test_a_newer_calibration_is_replaced_only_if_asked(capsys, tmp_path, calibra
         ["pointer", "bag", "-p", "avarage_s:=1"],
         ["pointer", "bag", "-p", "average_s"],
         ["pointer", "bag", "-p", "Rhome:=9.0"],
-        ["pointer", "bag", "--joint-names", "a", "b"],
+        ["pointer", "bag", "--joint-names", "a,b"],
     ],
 )
 def test_wrong_arguments_end_with_code_2(arguments, capsys):

@@ -108,22 +108,45 @@ def add_topic(options: _Options, option: str, default: str, what: str) -> None:
 
 
 def add_table_columns(options: _Options) -> None:
-    """Add `--columns`, `--wrench-frame` and `--no-setup-check` of a table of readings."""
+    """Add `--columns` and `--no-setup-check` of a table of readings, and `--wrench-frame`."""
     options.add_argument(
         "--columns",
         metavar="NAMES",
         help="comma-separated column names of a table without a first line of names; '-' skips one",
     )
-    options.add_argument(
-        "--wrench-frame",
-        choices=("sensor", "base"),
-        default="sensor",
-        help="axes that the wrenches are written in (default: %(default)s)",
-    )
+    add_wrench_frame(options)
     options.add_argument(
         "--no-setup-check",
         action="store_true",
         help="go on where a wrong set-up (mount, axes, units, order) explains the readings",
+    )
+
+
+def add_wrench_frame(options: _Options) -> None:
+    """Add `--wrench-frame` of a table or a bag."""
+    options.add_argument(
+        "--wrench-frame",
+        choices=("sensor", "base"),
+        default="sensor",
+        help="axes that the wrenches are written in, about the sensor's origin (default:"
+        " %(default)s)",
+    )
+
+
+def add_arm_topics(options: _Options) -> None:
+    """Add `--joint-states`, `--wrench-raw`, `--joint-names` and `--log-times` of a bag."""
+    add_topic(options, "--joint-states", "joint_states", "the joint states")
+    add_topic(options, "--wrench-raw", "wrench_raw", "the raw wrench")
+    options.add_argument(
+        "--joint-names",
+        metavar="NAMES",
+        help="names of the joints, by commas; only the revolute ones must be there (default: the"
+        " arm's)",
+    )
+    options.add_argument(
+        "--log-times",
+        action="store_true",
+        help="take the times at which messages were recorded, not their stamps",
     )
 
 

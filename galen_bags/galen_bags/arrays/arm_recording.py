@@ -7,6 +7,7 @@ out, all that fit it are read by array operations, and so on with the remaining 
 
 from __future__ import annotations
 
+import argparse
 import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -17,6 +18,7 @@ import numpy as np
 from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
+from galen_model.errors import GalenError
 from galen_ros.arm import ArmParameters
 from galen_ros.cdr import (
     NS_PER_S,
@@ -217,12 +219,16 @@ class ArmTopics:
     A topic is taken by its whole name, or else as the only one of its type that ends with it, so
     that recordings of a namespace need no option; by default, as the only one of its type.
     `joint_names`: the arm's joints in their order, empty: as the arm has them; the turning ones
-    must be there, the others need not.
+    must be there, the others need not. wrench_frame: "sensor", or "base" where wrenches are written
+    in the base's axes, about the sensor's origin: they are turned back at each joint state.
+    log_times: whether messages are taken as stamped when they were logged.
     """
 
     joint_states: str = "joint_states"
     wrench_raw: str = "wrench_raw"
     joint_names: tuple[str, ...] = ()
+    wrench_frame: str = "sensor"
+    log_times: bool = False
 
     def find(self, bag: Bag, type_name: str) -> str:
         """Return the bag's topic of the joints or of the wrench, by its type; raises BagError."""
@@ -235,7 +241,7 @@ class ArmTopics:
         except BagError as error:
             if name == getattr(ArmTopics, field_name) and len(usable) == 1:
                 return usable[0]
-            remedy = f"; name the one to read (--{field_name.replace('_', '-')} TOPIC)"
+            remedy = f"; name the one to read: --{field_name.replace('_', '-')} TOPIC"
             if not usable:
                 remedy = "; record joint states: tf does not hold the joints' angles"
                 if type_name == WRENCH_TYPE:
@@ -253,19 +259,45 @@ class ArmTopics:
         return next((one[0] for one in (topics, beside) if len(one) == 1), "")
 
 
+def topics_of(arguments: argparse.Namespace) -> ArmTopics:
+    """Return what the options of `add_arm_topics` and `add_wrench_frame` say."""
+    names = tuple(arguments.joint_names.split(",")) if arguments.joint_names else ()
+    return ArmTopics(
+        arguments.joint_states,
+        arguments.wrench_raw,
+        names,
+        arguments.wrench_frame,
+        arguments.log_times,
+    )
+
+
 def arm_of_bag(bag: Bag, parameters: ArmParameters, topics: ArmTopics | None = None) -> Arm:
     """Return the arm of the parameters' file, else of the bag's description, else the Galen.
 
     A described arm's sensor frame is the wrenches' own `frame_id`, unless the parameters name one.
     Raises BagError and GalenError.
     """
-    text = robot_description(bag)
-    if (text or parameters.urdf_file) and parameters.sensor_frame == ArmParameters.sensor_frame:
-        topic = (topics or ArmTopics()).find(bag, WRENCH_TYPE)
-        block = next(bag.blocks([topic]), None)
-        frame = "" if block is None else Decoder(WRENCH_TYPE).decode(block, _FIRST).frame_ids[-1]
-        parameters = replace(parameters, sensor_frame=frame or parameters.sensor_frame)
-    return parameters.arm(text)
+    text, topics = robot_description(bag), topics or ArmTopics()
+    if not (text or parameters.urdf_file) or parameters.sensor_frame != ArmParameters.sensor_frame:
+        return parameters.arm(text)
+    topic = topics.find(bag, WRENCH_TYPE)
+    block = next(bag.blocks([topic]), None)
+    frame = "" if block is None else Decoder(WRENCH_TYPE).decode(block, _FIRST).frame_ids[-1]
+    try:
+        arm = replace(parameters, sensor_frame=frame or parameters.sensor_frame).arm(text)
+    except GalenError as error:
+        raise BagError(f"{bag.path}: {_odd_frame(topic, frame, topics, str(error))}") from error
+    return arm
+
+
+def _odd_frame(topic: str, frame: str, topics: ArmTopics, error: str) -> str:
+    """Say why a wrench's `frame_id` is no sensor's, with the remedy."""
+    if not frame:
+        return f"{topic} has an empty frame_id: name the sensor's frame (--sensor-frame); {error}"
+    text = f"{topic} has frame_id {frame!r}: {error}; --sensor-frame names the sensor's frame"
+    if topics.wrench_frame == "sensor":
+        text += ", and --wrench-frame base says that wrenches are in the base's axes, if they are"
+    return text
 
 
 @dataclass(frozen=True)
@@ -310,6 +342,8 @@ class ArmReader:
         self.bag = bag
         self._start_s = start_s
         self._duration_s = math.inf if duration_s is None else duration_s
+        self._arm, self._log_times = arm, topics.log_times
+        self._turned = topics.wrench_frame == "base"
         self.joint_states = topics.find(bag, JOINT_STATE_TYPE)
         self.wrench_raw = topics.find(bag, WRENCH_TYPE)
         self.read_topics = [self.joint_states, self.wrench_raw]
@@ -331,17 +365,55 @@ class ArmReader:
 
     def blocks(self) -> Iterator[ArmBlock]:
         """Return the samples, block by block."""
+        into_sensor = self._into_sensor() if self._turned else None
         for block in self._inside_window():
             joint_rows = np.flatnonzero(block.topic == 0)
             wrench_rows = np.flatnonzero(block.topic == 1)
+            joints = self._stamped(self._joints, block, joint_rows)
+            wrenches = self._stamped(self._wrenches, block, wrench_rows)
+            if into_sensor is not None:
+                wrenches = into_sensor(wrenches)
             yield ArmBlock(
                 block.topic[block.topic < 2] == 1,
-                self._joints.decode(block, joint_rows),
+                joints,
                 block.log_time_ns[joint_rows],
-                self._wrenches.decode(block, wrench_rows),
+                wrenches,
                 block.log_time_ns[wrench_rows],
                 block,
             )
+
+    def _stamped(self, decoder: Decoder, block: Messages, rows: np.ndarray) -> Samples:
+        samples = decoder.decode(block, rows)
+        return replace(samples, stamp_ns=block.log_time_ns[rows]) if self._log_times else samples
+
+    def _into_sensor(self) -> Callable[[Samples], Samples]:
+        """Read all joint states, and return what turns wrenches out of the base's axes."""
+        count = len(self._arm.joints)
+        parts = [
+            self._stamped(self._joints, block, np.arange(len(block.topic)))
+            for block in self.bag.blocks([self.joint_states])
+        ]
+        joints = join_samples(parts, 2 * count)
+        good = np.setdiff1d(np.arange(len(joints)), list(joints.bad))
+        order = good[np.argsort(joints.stamp_ns[good], kind="stable")]
+        stamps = joints.stamp_ns[order]
+        angles = np.unwrap(self._arm.angles(joints.values[order, :count]), axis=0)
+        first_ns = stamps[0] if len(stamps) else 0
+
+        def turn(wrenches: Samples) -> Samples:
+            if not len(stamps) or not len(wrenches):
+                return wrenches
+            at_s, own_s = (wrenches.stamp_ns - first_ns) * 1e-9, (stamps - first_ns) * 1e-9
+            then = np.column_stack([np.interp(at_s, own_s, column) for column in angles.T])
+            rotation = self._arm.rotation(then)
+            values = [
+                np.einsum("nji,nj->ni", rotation, part)
+                for part in np.split(wrenches.values, 2, axis=1)
+            ]
+            frame_ids = (self._arm.sensor_frame,) * len(wrenches.frame_ids)
+            return replace(wrenches, values=np.concatenate(values, axis=1), frame_ids=frame_ids)
+
+        return turn
 
     def _inside_window(self) -> Iterator[Messages]:
         first_ns: int | None = None
@@ -467,7 +539,7 @@ def read_arm(
         wrenches.stamp_ns[kept[1]],
         wrench_log[kept[1]],
         wrenches.values[kept[1]],
-        tuple(wrenches.frame_ids[k] for k in np.unique(wrenches.frame[kept[1]])),
+        tuple(dict.fromkeys(wrenches.frame_ids[k] for k in np.unique(wrenches.frame[kept[1]]))),
         tuple(problems),
         tuple([*names, temperature] if len(usable) else names),
         degrees.stamp_ns[usable],

@@ -15,7 +15,7 @@ from types import SimpleNamespace
 from typing import Any, TypeVar
 
 import numpy as np
-from galen_bags.arrays.arm_recording import ArmRecording, ArmTopics, read_arm
+from galen_bags.arrays.arm_recording import ArmRecording, read_arm, topics_of
 from galen_model.errors import CalibrationFileError, GalenError
 from galen_model.evidence.verdict import wrench_text
 from galen_model.files.atomic_file import write_whole
@@ -56,15 +56,15 @@ def read_recording(options: argparse.Namespace, bag: str) -> ArmRecording:
 
     A sensor frame that the options name is taken as that of wrenches with one other `frame_id`.
     """
-    topics = ArmTopics(options.joint_states, options.wrench_raw, tuple(options.joint_names))
-    arm = options.parameters.arm
+    topics, arm = topics_of(options), options.parameters.arm
     recording = read_arm(bag, topics, arm, progress(f"reading {Path(bag).name}", "block"))
     frames = recording.frame_ids
     if not options.sensor_frame or len(frames) > 1 or frames[0] == arm.sensor_frame:
         return recording
     odd = (
-        f"{recording.topics[1]} has frame_id {frames[0]!r}; its wrenches are taken as written in"
-        f" {arm.sensor_frame!r} (--sensor-frame)"
+        f"{recording.topics[1]} has frame_id {frames[0]!r}"
+        + (", the base's" if frames[0] == arm.base_frame else "")
+        + f"; its wrenches are taken as written in {arm.sensor_frame!r} (--sensor-frame)"
     )
     return replace(recording, frame_ids=(arm.sensor_frame,), problems=(*recording.problems, odd))
 

@@ -256,6 +256,12 @@ def _check_frames(recording: ArmRecording, settings: CalibrationParameters) -> N
             " wrenches are written in"
         )
     both = (recording.joint_stamp_ns, recording.wrench_stamp_ns)
+    for topic, stamps in zip(recording.topics, both, strict=False):
+        if not stamps.any():
+            raise GalenError(
+                f"{recording.path}: {topic} is not stamped (its stamps are 0): the driver must"
+                " stamp its samples; --log-times takes the times at which they were recorded"
+            )
     apart_ns = max(int(s.min()) for s in both) - min(int(s.max()) for s in both)
     if apart_ns > 0:
         raise GalenError(

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from galen_bags.archive import Archive, find_recordings, local_copy, print_summary
-from galen_bags.arrays.arm_recording import ArmTopics
+from galen_bags.arrays.arm_recording import topics_of
 from galen_bags.arrays.tables import read_motion, read_specific, read_table
 from galen_bags.formats.files import find_bags
 from galen_bags.many import ArchivedRecording, Place, json_rows, name_depth, name_of, run_many
@@ -80,11 +80,6 @@ def _check_options(
         parser.error(str(error))
 
 
-def _topics(arguments: argparse.Namespace) -> ArmTopics:
-    names = tuple(arguments.joint_names.split(",")) if arguments.joint_names else ()
-    return ArmTopics(arguments.joint_states, arguments.wrench_raw, names)
-
-
 def _columns(arguments: argparse.Namespace) -> list[str] | None:
     return arguments.columns.split(",") if arguments.columns else None
 
@@ -105,7 +100,7 @@ def _evaluate_drift(arguments: argparse.Namespace) -> Report:
     with progress(unit="msg") as bar:
         series = read_series(
             paths,
-            _topics(arguments),
+            topics_of(arguments),
             tool,
             _columns(arguments),
             arguments.cell_s,
@@ -191,7 +186,7 @@ def _evaluate_bags(arguments: argparse.Namespace) -> int:
         tool=Path(beside) if beside else seen(arguments.tool),
         tool_beside=bool(beside),
         settings=EvaluationSettings(
-            topics=_topics(arguments),
+            topics=topics_of(arguments),
             start_s=arguments.start_offset,
             duration_s=arguments.duration,
             parameters=from_options(arguments, GravcompParameters, NODE_OPTIONS),

@@ -6,16 +6,15 @@ import argparse
 from pathlib import Path
 
 from galen_bags.archive import add_results, place
-from galen_bags.arrays.arm_recording import ArmTopics
 from galen_model.arm.galen import GRAVITY_M_S2
 from galen_model.evidence.verdict import Limits
 from galen_ros.arm import add_arm
 from galen_ros.command import (
+    add_arm_topics,
     add_json,
     add_plots,
     add_table_columns,
     add_tool_file,
-    add_topic,
     add_workers,
     make_parser,
     not_negative,
@@ -87,15 +86,7 @@ def _add_bag_options(group: argparse._ArgumentGroup) -> None:
         metavar="NAME",
         help="instead of --tool: use the file of this name in each bag's directory or above it",
     )
-    topics = ArmTopics()
-    add_topic(group, "--joint-states", topics.joint_states, "the joint states")
-    add_topic(group, "--wrench-raw", topics.wrench_raw, "the raw wrench")
-    group.add_argument(
-        "--joint-names",
-        metavar="NAMES",
-        help="names of the joints, by commas; only the revolute ones must be there (default: the"
-        " arm's)",
-    )
+    add_arm_topics(group)
     group.add_argument(
         "--start-offset",
         type=not_negative,
