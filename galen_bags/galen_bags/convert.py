@@ -30,7 +30,6 @@ from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.setup_check.check import SetupError, require_setup
-from galen_model.setup_check.readings import StillReadings
 from galen_ros.arm import add_arm, chosen_arm
 from galen_ros.cdr import NS_PER_S, joint_state_bytes, wrench_bytes
 from galen_ros.command import (
@@ -46,16 +45,15 @@ from galen_ros.command import (
 from galen_bags.arrays.arm_recording import JOINT_STATE_TYPE, WRENCH_TYPE
 from galen_bags.arrays.tables import (
     OrientationTable,
-    average_runs,
     read_orientations,
     read_table,
     read_wrenches,
+    still_readings,
 )
 from galen_bags.formats.writer import BagWriter
 
 _UNITS_NS = {"s": NS_PER_S, "ms": 1_000_000, "us": 1_000, "ns": 1}
 _NO_TILT = 1e-6  # |(u_x, u_z)| below which tilt has no meaning
-_CHECKED = 200  # readings that the set-up is checked on
 _LAST_STAMP_NS = 2**31 * NS_PER_S  # a message's seconds are an int32
 
 _NOTES = """columns, named in a file's first line or by --columns:
@@ -144,11 +142,8 @@ def read_measured(arguments: argparse.Namespace) -> Measured:
 
 def _check_setup(file: str, table: OrientationTable) -> None:
     """Raise SetupError where a wrong set-up explains the readings."""
-    some = average_runs(table, _CHECKED) if len(table) > _CHECKED else table
     try:
-        require_setup(
-            StillReadings(some.wrench, some.gravity, some.arm, some.rotation, some.angles)
-        )
+        require_setup(still_readings(table))
     except SetupError as error:
         raise SetupError(f"{file}: {error}; --no-setup-check converts it") from error
 

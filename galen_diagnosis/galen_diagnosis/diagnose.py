@@ -28,7 +28,7 @@ from galen_bags.archive import (
     print_summary,
 )
 from galen_bags.arrays.joint_table import add_column_options, joint_columns, read_joint_runs
-from galen_bags.arrays.tables import ORIENTATIONS, read_table, read_text_table
+from galen_bags.arrays.tables import ORIENTATIONS, read_table, read_text_table, still_readings
 from galen_bags.many import ArchivedRecording, Place, name_depth, name_of, run_many
 from galen_model.arm.galen import GALEN, WRENCH_AXES
 from galen_model.arrays import Array
@@ -36,6 +36,7 @@ from galen_model.errors import GalenError
 from galen_model.evidence.held_out import BlockRows, Effects
 from galen_model.files.calibration_file import read_calibration
 from galen_model.load.inertia import point_mass_inertia
+from galen_model.setup_check.check import SetupError, check_setup
 from galen_model.transmission import time_blocks, whole_runs
 from galen_ros.arm import add_arm, chosen_arm
 from galen_ros.command import (
@@ -43,6 +44,7 @@ from galen_ros.command import (
     EXIT_OK,
     ProgressLine,
     add_json,
+    add_no_setup_check,
     add_table_columns,
     add_tool_file,
     add_workers,
@@ -65,6 +67,7 @@ from galen_diagnosis.observation.recording import (
     RECORDING_FILES,
     DiagnosticRecording,
     read_recording,
+    require_sound_setup,
 )
 from galen_diagnosis.observation.rows import BAGS
 from galen_diagnosis.report.report import (
@@ -124,6 +127,7 @@ class Job:
     output: Path | None = None
     name_parts: int = 1
     inertial_forces: bool = False
+    check_setup: bool = True
 
     def __call__(self, recording: Place) -> dict[str, Any]:
         """Diagnose and write; returns what diagnosis.json holds."""
@@ -143,6 +147,8 @@ class Job:
             recording = read_recording(
                 copies.enter_context(copied), tool, inertial_forces=self.inertial_forces
             )
+            if self.check_setup:
+                require_sound_setup(recording)
             diagnosis = diagnose_recording(
                 recording,
                 progress=lambda stage, share: progress(stage, _READ + share * _DIAGNOSED),
@@ -234,6 +240,7 @@ def build_parser(kind: Kind = "recording") -> argparse.ArgumentParser:
 
 
 def _add_recording_options(parser: argparse.ArgumentParser) -> None:
+    add_no_setup_check(parser)
     parser.add_argument(
         "--inertial-forces",
         action="store_true",
@@ -316,6 +323,7 @@ def _recordings(arguments: argparse.Namespace, console: Console) -> int:
             output=None if arguments.output is None else local(arguments.output),
             name_parts=name_depth(recordings),
             inertial_forces=arguments.inertial_forces,
+            check_setup=not arguments.no_setup_check,
         )
         archive = Archive(job, seen(arguments.results), _known(tool, arguments.inertial_forces))
         return _archive(archive, found, arguments)
@@ -326,6 +334,7 @@ def _recordings(arguments: argparse.Namespace, console: Console) -> int:
         report=not arguments.no_report,
         overwrite=arguments.overwrite,
         inertial_forces=arguments.inertial_forces,
+        check_setup=not arguments.no_setup_check,
     )
     for folder in folders.values():
         check_output(folder, overwrite=arguments.overwrite)  # before minutes of work
@@ -439,8 +448,12 @@ def _prepared(
         )
     columns = arguments.columns.split(",") if arguments.columns else None
     arm = chosen_arm(arguments)
+    table = read_table(path, columns, arguments.wrench_frame, arm)
+    found = check_setup(still_readings(table))
+    if found is not None and found.gross and not arguments.no_setup_check:
+        raise SetupError(f"{path}: {found.sentence}; --no-setup-check diagnoses it all the same")
     return prepare_table(
-        read_table(path, columns, arguments.wrench_frame, arm),
+        table,
         noise=None if arguments.noise is None else _noise(arguments.noise),
         tool=None if arguments.tool is None else read_calibration(arguments.tool, arm),
         window_s=arguments.average_s,
@@ -469,10 +482,14 @@ def _kind(given: Sequence[str]) -> Kind:
 
 
 def _first_words(table: Path) -> set[str]:
-    """Words of the first line that is no comment."""
+    """Words of the first line that is no comment, and of the comments before it."""
+    words: list[str] = []
     with table.open(encoding="utf-8", errors="replace") as lines:
-        first = next((line for line in lines if line.strip() and line[0] != "#"), "")
-    return set(re.split(r"[,;\s\"']+", first))
+        for line in lines:
+            words += re.split(r"[,;\s\"'\[\]()%#]+", line.lower())
+            if line.strip() and line.lstrip()[0] not in "#%":
+                break
+    return set(words)
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -115,6 +115,11 @@ def add_table_columns(options: _Options) -> None:
         help="comma-separated column names of a table without a first line of names; '-' skips one",
     )
     add_wrench_frame(options)
+    add_no_setup_check(options)
+
+
+def add_no_setup_check(options: _Options) -> None:
+    """Add `--no-setup-check`."""
     options.add_argument(
         "--no-setup-check",
         action="store_true",

@@ -35,6 +35,7 @@ from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.rest.segments import DirectionRest, rest_by_direction
 from galen_model.rotation import quaternion_to_matrix, rot_x, rot_y, rot_z
+from galen_model.setup_check.readings import StillReadings
 from scipy.interpolate import CubicSpline
 
 _MOST_BYTES = 1 << 30
@@ -238,6 +239,7 @@ TEMPERATURES = {
 """Names of a column of temperatures, and what makes its numbers deg C."""
 
 _ROTATION_TOLERANCE = 1e-2
+_MOST_CHECKED = 300
 _MOST_EULER_RAD = 2.0 * np.pi + 0.1
 _GRAVITY_TOLERANCE = 0.02
 
@@ -363,6 +365,29 @@ def read_orientations(
     """
     text = _read(path, columns, arm)
     return _time(text), _orientation(text, arm)[0]
+
+
+def still_readings(table: OrientationTable) -> StillReadings:
+    """Return the readings for a check of the set-up; a long table's averaged."""
+    if len(table) > _MOST_CHECKED:
+        table = average_runs(table, _MOST_CHECKED)
+    return StillReadings(table.wrench, table.gravity, table.arm, table.rotation, table.angles)
+
+
+def without_repeats(table: OrientationTable) -> tuple[OrientationTable, int]:
+    """Leave out readings that repeat another, as a logger that holds the last value writes them.
+
+    Returns:
+        The table, and how many readings were left out.
+
+    """
+    cells = np.hstack([table.wrench, table.gravity])
+    rows = np.zeros(len(table), dtype=bool)
+    rows[np.unique(cells, axis=0, return_index=True)[1]] = True
+    if rows.all():
+        return table, 0
+    block = None if table.block is None else table.block[rows]
+    return table.take(rows, block), int(np.count_nonzero(~rows))
 
 
 def average_runs(table: OrientationTable, most: int) -> OrientationTable:

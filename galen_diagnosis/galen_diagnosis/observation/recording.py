@@ -35,6 +35,9 @@ from galen_model.files.json_fields import (
     text,
 )
 from galen_model.load.inertia import point_mass_inertia
+from galen_model.rest.binned import CellReducer, find_still_phases
+from galen_model.setup_check.check import SetupError, check_setup
+from galen_model.setup_check.readings import at_angles
 from galen_sim_driver.effects.effect import Effect
 from galen_sim_driver.effects.joints import BaseInclination, JointZeroOffset
 from galen_sim_driver.effects.sensor import AxisGain, SensorMountRotation
@@ -195,6 +198,31 @@ def read_recording(
         robot,
         inertial_forces,
     )
+
+
+def require_sound_setup(recording: DiagnosticRecording) -> None:
+    """Raise SetupError where a wrong set-up explains the still poses of the sweep.
+
+    It is looked for in the readings alone, without the calibration file: the effects of a healthy
+    set-up are far smaller.
+    """
+    bag, arm = recording.bags.get("sweep"), recording.arm
+    if bag is None or recording.tool.mounting is not None:
+        return
+    joint_angles = arm.angles(bag.joints)
+    angles = np.column_stack([np.interp(bag.wrench_s, bag.joint_s, q) for q in joint_angles.T])
+    cells = CellReducer()
+    cells.add(np.round(bag.wrench_s * 1e9).astype(np.int64), bag.wrenches, angles)
+    phases = find_still_phases(cells.finish())
+    if not len(phases):
+        return
+    noise = np.sqrt(np.mean(phases.std_of_mean**2, axis=0))
+    found = check_setup(at_angles(phases.mean, phases.angles, arm), noise)
+    if found is not None and found.gross:
+        raise SetupError(
+            f"{recording.name}: {found.sentence}. Of the recording gravity and sensor frame are"
+            " those of its tool's file; --no-setup-check diagnoses it all the same"
+        )
 
 
 def _robot(path: Path, tool: Path) -> Arm:

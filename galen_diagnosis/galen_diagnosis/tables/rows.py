@@ -28,7 +28,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from galen_bags.arrays.tables import OrientationTable, average_still
+from galen_bags.arrays.tables import OrientationTable, average_still, without_repeats
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
@@ -77,7 +77,10 @@ def prepare_table(
         averaged, _ = average_still(table, window_s, DirectionRest())
         notes = [f"{len(averaged)} averages of {window_s:g} s in rest segments"]
     else:
-        averaged, notes = table.timed(), [f"{len(table)} readings"]
+        single, repeats = without_repeats(table)
+        averaged, notes = single.timed(), [f"{len(single)} readings"]
+        if repeats:
+            notes.append(f"{repeats} rows repeat another one: counted once")
         if table.time is None:
             notes.append("the order of readings is taken for time")
         floor = _floor_of_readings(averaged, noise)

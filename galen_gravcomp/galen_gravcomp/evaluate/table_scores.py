@@ -10,7 +10,13 @@ from datetime import UTC, datetime
 from functools import partial
 
 import numpy as np
-from galen_bags.arrays.tables import OrientationTable, average_runs, average_still
+from galen_bags.arrays.tables import (
+    OrientationTable,
+    average_runs,
+    average_still,
+    still_readings,
+    without_repeats,
+)
 from galen_model.arm.arm import STANDARD_GRAVITY_M_S2
 from galen_model.arrays import Array
 from galen_model.errors import GalenError, IdentificationError
@@ -22,7 +28,7 @@ from galen_model.load.model import gravity_regressor
 from galen_model.load.mounting.identification import MountedLoad, identify_single_load_mounted
 from galen_model.rest.segments import DirectionRest
 from galen_model.setup_check.check import SetupError, SetupFinding, check_setup
-from galen_model.setup_check.readings import StillReadings, fit_load
+from galen_model.setup_check.readings import fit_load
 
 _FEWEST_READINGS = 4
 MOST_READINGS = 500
@@ -163,7 +169,7 @@ class TableEvaluation:
     @property
     def relative(self) -> Array:
         """Residual of forces and torques (2,) over how they change."""
-        return fit_load(_still_readings(self.table)).relative
+        return fit_load(still_readings(self.table)).relative
 
     @property
     def fits(self) -> bool | None:
@@ -193,10 +199,6 @@ class TableEvaluation:
         )
 
 
-def _still_readings(table: OrientationTable) -> StillReadings:
-    return StillReadings(table.wrench, table.gravity, table.arm, table.rotation, table.angles)
-
-
 def evaluate_table(
     table: OrientationTable,
     average_window_s: float | None = None,
@@ -211,6 +213,10 @@ def evaluate_table(
     read_notes = []
     if table.left_out:
         read_notes.append(f"{table.left_out} rows left out: a number is missing or NaN")
+    if average_window_s is None:
+        table, repeats = without_repeats(table)
+        if repeats:
+            read_notes.append(f"{repeats} rows repeat another one: counted once")
     if average_window_s is None and len(table) > MOST_READINGS:
         table = average_runs(table, _AVERAGES)
         read_notes.append(
@@ -226,7 +232,7 @@ def evaluate_table(
             f"{table.path}: {len(table)} readings; at least {_FEWEST_READINGS} are needed to hold"
             " some out"
         )
-    setup = check_setup(_still_readings(table))
+    setup = check_setup(still_readings(table))
     try:
         return _evaluated(table, source_rows, phases, scatter, tool, mounting, setup, read_notes)
     except IdentificationError as error:

@@ -81,6 +81,15 @@ class SetupFinding:
     dead: tuple[str, ...] = ()
 
     @property
+    def gross(self) -> bool:
+        """Whether it is more than an effect that a diagnosis names, and what explains it is known.
+
+        A base that is inclined by a few degrees is such an effect.
+        """
+        off = bool(self.fit.fault) or bool(np.max(self.fit.relative) > _EXPLAINED)
+        return off and bool(self.explanations)
+
+    @property
     def trouble(self) -> str:
         """What doesn't fit as it is."""
         if self.fit.fault and self.fit.relative[0] < _EXPLAINED:
