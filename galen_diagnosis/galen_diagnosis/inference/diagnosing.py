@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.evidence.linear import Background, evidence
@@ -33,10 +32,12 @@ from galen_diagnosis.experiment.next_experiment import Experiment, propose
 from galen_diagnosis.experiment.separation import Alternative
 from galen_diagnosis.inference.discrepancy import Discrepancies, answered
 from galen_diagnosis.inference.posterior import (
+    APART,
     Probabilities,
     Scored,
     Settings,
     load_settings,
+    merge_equivalents,
     posterior,
     scored,
     weighed,
@@ -60,8 +61,6 @@ _LISTED = 0.05
 _CLEAR = 5.0
 """Log of the odds from which on remaining structure is reported."""
 _LEAST_POSES = 4
-_APART = 3.3
-"""Two causes nearer than this in units of the noise can't be distinguished (study of diagnosis)."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +68,7 @@ class Explored:
     """What was looked at, before any probability: enough for a posterior under any settings.
 
     floor: mean square of a row that noise alone gives; structures: in what the best fit leaves.
+    alike: by a set of effects the others that the rows can't distinguish from it.
     """
 
     observation: Observation
@@ -77,6 +77,17 @@ class Explored:
     floor: float
     structures: tuple[Structure, ...]
     scored: tuple[Scored, ...]
+    alike: dict[frozenset[str], tuple[frozenset[str], ...]] = field(default_factory=dict)
+
+    def equivalents(self, names: tuple[str, ...], effect: str) -> set[str]:
+        """Effects that take the place of one in a set that the rows can't distinguish."""
+        whole = frozenset(names)
+        return {
+            name
+            for other in self.alike.get(whole, ())
+            if whole - other == {effect}
+            for name in other - whole
+        }
 
 
 def explore(recording: DiagnosticRecording, progress: Progress | None = None) -> Explored:
@@ -111,15 +122,16 @@ def explore(recording: DiagnosticRecording, progress: Progress | None = None) ->
         one if "loose_tool" in one.names else replace(one, energy=one.energy + 2.0 * swing)
         for one in scored(of, left, max(answered(best, clear), varied))
     ]
-    least = min(one.energy for one in sums)
     fitted = {one.names[0] for one in sums if len(one.names) == 1}
+    sums, alike = merge_equivalents(found.behind, of, sums)
+    least = min(one.energy for one in sums)
     none = next(one for one in sums if not one.names)
     for name, log in found.linear.items():
         if name not in fitted:
             # Not worth a fit: what its columns alone say.
             energy = max(none.energy - 2.0 * max(log, 0.0), least)
             sums.append(Scored((name,), energy, max(-log, 0.0)))
-    return Explored(observation, found, discrepancies, floor, (*seen, *varies), tuple(sums))
+    return Explored(observation, found, discrepancies, floor, (*seen, *varies), tuple(sums), alike)
 
 
 def diagnose_recording(
@@ -155,7 +167,7 @@ def conclude(explored: Explored, settings: Settings, say: Progress) -> Diagnosis
         recording=observation.recording.name,
         verdict=verdict,
         causes=causes,
-        ranking=_ranking(observation.recording.arm, chances),
+        ranking=_ranking(explored, chances),
         where=localize(observation.rows, none.rows, explored.floor, healthy),
         gap=gap.to_json(),
         next_experiment=None if experiment is None else experiment.to_json(),
@@ -210,8 +222,9 @@ def _verdict(explored: Explored, chances: Probabilities) -> tuple[Verdict, Hypot
         return ("unknown" if chances.unknown > chances.none else "none"), None
     if chances.unknown >= 0.5:
         return "unknown", best
-    # Equivalent effects hide behind one name: `_causes` lists them.
-    sure = sets[0][0] >= SURE and sets[0][1] == frozenset(best.names)
+    # Effects of equal columns hide behind one name: `_causes` lists them.
+    names = frozenset(best.names)
+    sure = sets[0][0] >= SURE and sets[0][1] == names and names not in explored.alike
     return ("identified" if sure else "ambiguous"), best
 
 
@@ -265,25 +278,33 @@ def _share_closed(gap: Gap, fit: Hypothesis, index: int) -> Interval | None:
 
 
 def _equivalent(explored: Explored, fit: Hypothesis, index: int) -> tuple[str, ...]:
-    """Effects that do the same as this one to the rows, but for less than _APART of noise."""
+    """Effects that do the same as this one to the rows, but for less than APART of noise."""
     found = explored.found
     part = fit.parts[index]
     where_ = fit.slices()[index]
     does = fit.columns[:, where_] @ (fit.values[index] - part.start)
     whole = found.behind.sum_of_squares(does)
-    if whole < _APART**2:
+    if whole < APART**2:
         return ()  # it does next to nothing: everything does the same
-    out = set()
+    out: set[str] = set()
     for one, gram, along in found.forms.reduced(found.behind, does):
         if one.effect not in fit.names and one.effect not in out:
             got = evidence(gram, along, 30.0 * one.typical[: len(along)])
-            if whole - got.gain < _APART**2:
+            if whole - got.gain < APART**2:
                 out.add(one.effect)
+    out |= explored.equivalents(fit.names, part.effect)
     return tuple(name for name in sought(explored.observation.recording.arm) if name in out)
 
 
-def _ranking(arm: Arm, chances: Probabilities) -> tuple[tuple[str, float], ...]:
-    each = {name: chances.effects.get(name, 0.0) for name in sought(arm)}
+def _ranking(explored: Explored, chances: Probabilities) -> tuple[tuple[str, float], ...]:
+    each = {
+        name: chances.effects.get(name, 0.0) for name in sought(explored.observation.recording.arm)
+    }
+    # What can't be distinguished is as likely.
+    for chance, names in _sets(explored, chances):
+        for effect in names:
+            for other in explored.equivalents(tuple(names), effect):
+                each[other] = max(each.get(other, 0.0), chance)
     each[NONE], each[UNKNOWN] = chances.none, chances.unknown
     return tuple(sorted(each.items(), key=lambda pair: -pair[1]))
 

@@ -32,6 +32,7 @@ from importlib import resources
 
 import numpy as np
 from galen_model.arrays import Array
+from galen_model.evidence.linear import Background
 from scipy.sparse import csc_array, hstack
 
 from galen_diagnosis.inference.discrepancy import (
@@ -70,6 +71,8 @@ def load_settings() -> Settings:
 _INPUTS_FREE = 0.8
 _FULL, _REST = 30.0, 0.1
 _AS_LIKELY = 10.0
+APART = 3.3
+"""Two causes nearer than this in units of the noise can't be distinguished (study of diagnosis)."""
 
 
 @dataclass(frozen=True)
@@ -171,6 +174,53 @@ def scored(of: Sequence[Weighed], left: float, structure: float) -> list[Scored]
         Scored(one.hypothesis.names, max(one.energy - least, 0.0) + left, one.occam) for one in of
     ]
     return [replace(found[0], structure=structure), *found[1:]]
+
+
+def merge_equivalents(
+    behind: Background, of: Sequence[Weighed], sums: Sequence[Scored]
+) -> tuple[list[Scored], dict[frozenset[str], tuple[frozenset[str], ...]]]:
+    """Make one hypothesis of those that the rows can't distinguish.
+
+    Sets of as many effects whose fits leave the same rows, but for less than `APART` of noise, are
+    one answer with several names: it is as likely beforehand as one set, whatever number of them
+    there are, and Occam's factor is that of the member with the least.
+
+    Args:
+        behind: unknowns and a healthy arm's tolerances, which count for nothing.
+        of: hypotheses, the likeliest first.
+        sums: the same as a posterior sees them.
+
+    Returns:
+        The likeliest of each class, and the others' sets of names by the likeliest's.
+
+    """
+    classes: list[list[int]] = []
+    for k, one in enumerate(of):
+        for group in classes:
+            first = of[group[0]].hypothesis
+            if len(first.names) != len(one.hypothesis.names) or not first.names:
+                continue
+            apart = first.raw_rows - one.hypothesis.raw_rows
+            if behind.sum_of_squares(apart) < APART**2:
+                group.append(k)
+                break
+        else:
+            classes.append([k])
+    merged: list[Scored] = []
+    alike: dict[frozenset[str], tuple[frozenset[str], ...]] = {}
+    for group in classes:
+        members = [sums[k] for k in group]
+        merged.append(
+            replace(
+                members[0],
+                energy=min(one.energy for one in members),
+                occam=min(one.occam for one in members),
+            )
+        )
+        names, *others = dict.fromkeys(frozenset(one.names) for one in members)
+        if others:
+            alike[names] = tuple(others)
+    return merged, alike
 
 
 def _counted(hypothesis: Hypothesis) -> float:

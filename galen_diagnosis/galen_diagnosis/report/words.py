@@ -302,7 +302,7 @@ def _bare(value: Any) -> Any:
 # The sentence
 
 
-_MOST_TWINS = 4
+_MOST_TWINS = 6
 
 
 def sentence(answer: Answer) -> str:
