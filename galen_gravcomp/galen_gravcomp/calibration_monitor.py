@@ -44,6 +44,7 @@ from galen_model.files.calibration_file import CalibrationFile
 from galen_model.rest.windows import StillWindow, StillWindows
 
 from galen_gravcomp.evidence import FitEvidence, Judgement, Segments
+from galen_gravcomp.setup_verification import SetupVerification
 
 _NEWEST = 4
 _LONE_S = 15.0
@@ -181,6 +182,8 @@ class CalibrationMonitor:
         self._arm = arm
         self._limits = limits or Limits()
         self._windows = StillWindows()
+        self.setup = SetupVerification(arm)
+        """Whether the set-up is the file's."""
         self._evidence: FitEvidence | None = None
         self._tool: CalibrationFile | None = None
         self._work: Iterator[None]
@@ -199,6 +202,7 @@ class CalibrationMonitor:
             "fit_reason": verdict.cause.word if verdict.text else "",
             "fit_stops": verdict.blocks,
             "fit_log_odds": verdict.log_odds,
+            "setup": self.setup.text,
         }
 
     # Samples
@@ -207,16 +211,19 @@ class CalibrationMonitor:
         """Monitor another tool; the segments are forgotten."""
         self._tool = tool
         self._evidence = None if tool is None else FitEvidence(tool, self._arm)
+        self.setup.set_tool(tool)
         self.clear()
 
     def clear(self) -> None:
         """Forget everything."""
         self._windows.clear()
+        self.setup.clear()
         self._forget()
 
     def offset_changed(self, change: Array) -> None:
         """Follow a tare: from now on `change` (6,) more is subtracted than before."""
         self._windows.drop()
+        self.setup.offset_changed(change)
         self._memory.shift(change)
         segments = list(self._memory.segments)
         if segments:
@@ -237,6 +244,7 @@ class CalibrationMonitor:
             self._memory.interrupt()
             return
         segment = self._memory.add(window)
+        self.setup.add(window)
         self._refit([segment])
         # With 2, 4, 8, ... windows: what a segment says changes little from one to the next.
         if segment.windows >= 2 and segment.windows & (segment.windows - 1) == 0:

@@ -14,7 +14,7 @@ from galen_ros.messages import STREAM
 from galen_ros.node.spin import run
 from galen_ros.rclpy_workarounds import DeferredService, Respond
 from galen_ros.stream.node import StreamNode, input_qos
-from galen_ros.stream.samples import PairedWrench, Result
+from galen_ros.stream.samples import PairedWrench, Rejection, Result
 from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import Imu
 from std_srvs.srv import SetBool, Trigger
@@ -101,6 +101,18 @@ class GravcompNode(StreamNode):
         arm, needs_all = self._compensator.arm, self._compensator.needs_positions
         places = range(len(arm.joints)) if needs_all else arm.turning
         self._read_joints([self._joint_names[k] for k in places])
+
+    def _withheld(self) -> tuple[Rejection, str] | None:
+        monitor, check = self._compensator.monitor, self._config.setup_check
+        if monitor is not None and check != "off":
+            if monitor.setup.contradiction:
+                return Rejection.WRONG_SETUP, (
+                    f"the set-up is wrong: {monitor.setup.contradiction}; setup_check:=off"
+                    " publishes all the same"
+                )
+            if check == "wait" and not monitor.setup.fitting:
+                return Rejection.NOT_VERIFIED, f"the set-up is {monitor.setup.text}"
+        return super()._withheld()
 
     def _publish(self, result: PairedWrench, raw: RawWrench) -> None:
         # The input's own bytes with other numbers: stamp and frame_id can't but be kept.

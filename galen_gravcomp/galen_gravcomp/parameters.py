@@ -7,6 +7,7 @@ from galen_ros.parameters import param
 from galen_ros.stream.pairing import StreamParameters
 
 _MOTIONS = ("off", "joints", "imu")
+_SETUP_CHECKS = ("stop", "wait", "off")
 # motion_window_s and motion_delay_s: with encoder steps of 5e-5 rad and 5 um at 500 Hz, and the
 # arm's fastest free motion (1.5 rad/s, 6 rad/s^2, 0.2 m/s, 1 m/s^2), the error of the inertial
 # forces of 0.3 kg makes the sensor's noise 0.1 to 4.4 % larger, axis by axis. A window of 40 ms
@@ -68,6 +69,12 @@ class GravcompParameters(StreamParameters):
     calibration_monitor: bool = param(
         True, "whether to check, at rest without contact, if the calibration file still fits"
     )
+    setup_check: str = param(
+        "stop",
+        "what follows from readings at rest that contradict the set-up (axes, signs, units, order"
+        " of joints), by `calibration_monitor`: `stop`: nothing is published; `wait`: nor before"
+        " one has fitted; `off`: all is published, from the first sample on",
+    )
     fit_limit_force_n: float = param(
         Limits.force_n, "N; a smaller residual is no warning", minimum=0.001
     )
@@ -89,6 +96,11 @@ class GravcompParameters(StreamParameters):
         if self.motion not in _MOTIONS:
             raise ValueError(
                 f"parameter 'motion' is '{self.motion}', but must be one of {', '.join(_MOTIONS)}"
+            )
+        if self.setup_check not in _SETUP_CHECKS:
+            raise ValueError(
+                f"parameter 'setup_check' is '{self.setup_check}', but must be one of"
+                f" {', '.join(_SETUP_CHECKS)}"
             )
         if not self.motion_delay_s < self.motion_window_s:
             raise ValueError(

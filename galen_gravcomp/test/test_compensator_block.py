@@ -440,7 +440,10 @@ def test_both_forms_of_a_rule_agree_at_its_limits() -> None:
     for at in (ANGLE_UNIT_LIMIT_RAD, -ANGLE_UNIT_LIMIT_RAD):
         for angle in (np.nextafter(at, 0.0), at, np.nextafter(at, 2.0 * at)):
             for pair in ((angle, 0.0), (0.0, angle)):
-                assert count_angle_unit_notices(np.array([pair])) == int(angle_unit_notice(pair))
+                for limited in ((True, True), (False, True)):
+                    counted = count_angle_unit_notices(np.array([pair]), limited)
+                    assert counted == int(angle_unit_notice(pair, limited))
+                assert not angle_unit_notice((7.0 * angle, 0.0), (False, True))  # turns on and on
     for value in (1.0, 1e300, 1e308, math.inf, math.nan):
         wrenches = np.full((1, 6), value)
         assert surely_finite(wrenches)[0] == (value <= 1e300)

@@ -181,6 +181,7 @@ def test_a_table_has_a_verdict_and_a_wrong_set_up_writes_no_file(tmp_path, readi
 def test_a_long_table_is_averaged_and_told_at_once(tmp_path, readings, capsys):
     _, _, _, gravity, wrench = readings
     rows = np.repeat(np.hstack([gravity, wrench]), 50, axis=0)
+    rows[:, 3:] += 1e-3 * np.random.default_rng(9).normal(size=(1500, 6))
     path = tmp_path / "long.csv"
     write(path, ["gx", "gy", "gz", *WRENCH], rows)
     assert main([str(path), "--json"]) == 0
@@ -270,7 +271,8 @@ def test_a_tool_file_is_scored_beside_the_fits(tmp_path, capsys):
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_a_table_too_short_to_split_is_said(tmp_path, capsys, count):
     path = tmp_path / "short.csv"
-    path.write_text("fx,fy,fz,tx,ty,tz,roll,tilt\n" + "1,2,3,4,5,6,0,0\n" * count)
+    rows = "".join(f"1,2,3,4,5,{k},0,0\n" for k in range(count))
+    path.write_text(f"fx,fy,fz,tx,ty,tz,roll,tilt\n{rows}")
     assert main([str(path)]) == 1
     assert capsys.readouterr().err == (
         f"evaluate: {path}: {count} readings; at least 4 are needed to hold some out\n"

@@ -467,3 +467,83 @@ def test_enable_off_and_on_and_tares_that_cannot_be(bench: Bench) -> None:
     answer = bench.call("enable", SetBool, SetBool.Request(data=True))
     assert answer.success and answer.message == "compensation is on"
     bench.expect(bench.step(LEFT), LEFT)
+
+
+# A wrong set-up
+
+POSES = ((0.2, -0.1), (-1.0, 0.6), (1.1, -0.8))
+NOISE = np.array([0.02, 0.02, 0.02, 4e-4, 4e-4, 4e-4])
+
+
+class Rest:
+    """Samples at rest of a driver that makes a mistake, with the retractor on."""
+
+    def __init__(self, bench: Bench, spoil: Callable[[Array], Array]) -> None:
+        self.bench, self.spoil, self.pose = bench, spoil, 0
+        self.rng = np.random.default_rng(7)
+
+    def __call__(self) -> None:
+        roll, tilt = POSES[self.pose]
+        for _ in range(25):
+            reading = self.spoil(RETRACTOR.predict(np.array([roll, tilt])))
+            self.bench.driver.joints(self.bench.stamp, roll, tilt)
+            noisy = reading + NOISE * self.rng.normal(size=6)
+            self.bench.driver.wrench(self.bench.stamp, noisy)
+            self.bench.stamp += 2 * MS
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (lambda wrench: -wrench, "the reading is reversed (negate the wrench in the driver)"),
+        (lambda wrench: wrench * [1, -1, -1, 1, -1, -1], "turned by 180 deg about x"),
+        (lambda wrench: wrench * np.repeat([1 / 9.80665, 1.0], 3), "forces are in kgf"),
+        (lambda wrench: wrench * np.repeat([1.0, 1e3], 3), "torques are in N.mm"),
+    ],
+    ids=["reversed", "upside down", "kgf", "N.mm"],
+)
+def test_a_wrong_set_up_stops_the_output_with_its_explanation(
+    harness: Harness, tools_dir: Path, spoil: Callable[[Array], Array], words: str
+) -> None:
+    bench = Bench(harness, tools_dir, {"tool": "retractor", "check_units": False})
+    rest = Rest(bench, spoil)
+    values = bench.state("wrong_setup", Level.ERROR, rest)
+    assert words in values["message"] and "nothing is published" in values["message"]
+    assert values["setup"].startswith("wrong: ")
+    rest.spoil = lambda wrench: wrench  # the driver is mended
+    values = bench.report(lambda _, v: v["state"] == "compensating", "the end of it", rest)
+    assert values["setup"] == "not yet verified: fits at rest in 1 of 3 orientations"
+    for pose in (1, 2):
+        rest.pose = pose
+        count = f"in {pose + 1} of 3" if pose < 2 else "verified"
+        bench.report(lambda _, v, count=count: count in v["setup"], count, rest)
+
+
+def test_an_offset_is_no_wrong_set_up_and_waiting_publishes_nothing_before_a_reading_fits(
+    harness: Harness, tools_dir: Path
+) -> None:
+    bench = Bench(harness, tools_dir, {"tool": "retractor", "setup_check": "wait"})
+    rest = Rest(bench, lambda wrench: wrench + [2.0, 1.0, -3.0, 0.02, 0.05, -0.01])
+    values = bench.report(lambda _, v: "off in the last" in v["setup"], "the offset", rest)
+    assert values["state"] == "setup_not_verified" and "zero or tare" in values["setup"]
+    assert bench.listener.outputs == []
+    rest.spoil = lambda wrench: wrench
+    bench.report(lambda _, v: v["state"] == "compensating", "the first that fits", rest)
+
+
+def test_angles_in_degrees_are_not_compensated_until_they_are_plausible(bench: Bench) -> None:
+    bench.expect(bench.step(PUSH), PUSH)
+    bench.running()
+
+    def in_degrees() -> None:
+        bench.step(PUSH, roll=30.0)
+
+    values = bench.state("implausible_units", Level.ERROR, in_degrees)
+    assert "are they in degrees?" in values["message"]
+    assert "nothing is published" in values["message"] and "check_units:=false" in values["message"]
+    last = bench.listener.outputs[-1][0]
+    for _ in range(20):
+        in_degrees()
+    bench.report(lambda _, v: int(v["rejected_implausible_units"]) > 20, "more of them", in_degrees)
+    assert bench.listener.outputs[-1][0] == last
+    bench.running()

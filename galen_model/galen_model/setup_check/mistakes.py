@@ -23,7 +23,7 @@ import numpy as np
 from galen_model.arm.arm import STANDARD_GRAVITY_M_S2
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
-from galen_model.rotation import matrix_to_quaternion, matrix_to_rotvec, quaternion_to_matrix
+from galen_model.rotation import about, matrix_to_quaternion, matrix_to_rotvec, quaternion_to_matrix
 from galen_model.setup_check.readings import StillReadings, at_angles
 
 LEAST_INCLINATION_RAD = np.radians(2.0)
@@ -298,8 +298,8 @@ def _mount(down: Array, expected: Array, angle: float, base: str) -> str:
         if abs(down[2]) < np.sin(_EXACT_RAD):
             return f"gravity is along {_direction(down)} of {base}: the arm is mounted on a wall"
     axis = np.cross(down, expected)
-    about = _direction(axis / (np.linalg.norm(axis) or 1.0))
-    return f"{base} is inclined by {np.degrees(angle):.1f} deg about {about}"
+    direction = _direction(axis / (np.linalg.norm(axis) or 1.0))
+    return f"{base} is inclined by {np.degrees(angle):.1f} deg about {direction}"
 
 
 def _direction(unit: Array) -> str:
@@ -331,6 +331,29 @@ def _signed_permutation(matrix: Array) -> Array | None:
 def _mapped_axis(row: Array) -> str:
     k = int(np.argmax(np.abs(row)))
     return f"{'-' if row[k] < 0.0 else ''}f{_AXES[k]}"
+
+
+def known_load_mistakes(readings: StillReadings) -> Iterator[Corrected]:
+    """Yield the mistakes that a few readings of a known load tell, without a fit.
+
+    Of a sensing element turned in its frame those turns that people make.
+    """
+    yield from axes(readings)
+    yield from units(readings)
+    frame = readings.arm.sensor_frame
+    for k, axis in enumerate(_AXES):
+        for degrees in (180, 90, -90):
+            turn = np.round(about(np.eye(3)[k], np.radians(degrees)))
+            listed = ", ".join(_mapped_axis(row) for row in turn.T)
+            yield Corrected(
+                readings.mapped(turn.T, turn.T),
+                f"the sensing element is turned by {degrees} deg about {axis}, in {frame}",
+                f"in the driver (fx, fy, fz) := ({listed}), torques alike, or give {frame} the"
+                " element's axes in the description",
+                "push the tool along each axis of the sensor's frame: which force rises?",
+            )
+    if readings.angles is not None:
+        yield from _joints(readings, readings.angles)
 
 
 KINDS: tuple[Callable[[StillReadings], Iterator[Corrected]], ...] = (

@@ -25,6 +25,12 @@ RATE_WINDOW_S = 2.0
 SILENCE_SEEN_S = 1.5
 # So long without a message is no jitter of a stream.
 PAUSE_S = 0.1
+UNIT_TEXTS = {
+    Notice.TORQUE_UNIT: "torques far beyond the sensor's range: are they in N.mm?",
+    Notice.ANGLE_UNIT: "joint angles beyond a full turn: are they in degrees?",
+}
+UNITS_HOLD_S = 1.0
+"""Values of another unit that came so recently make all others doubtful."""
 # From one look to the next; one publisher's stamps are in order.
 MANY_IRREGULAR = 10
 LATENCY_SAMPLES = 2000
@@ -208,8 +214,7 @@ class StreamMonitor(ABC):
         """Notices that a person should hear of, and how."""
         topic = self._pairing.wrench_topic
         return {
-            Notice.TORQUE_UNIT: "torques far beyond the sensor's range: are they in N.mm?",
-            Notice.ANGLE_UNIT: "joint angles beyond a full turn: are they in degrees?",
+            **UNIT_TEXTS,
             Notice.BEYOND_RANGE: f"{topic} is at the end of the sensor's range or beyond: the"
             " reading may be clipped, and the true load larger",
             Notice.JOINT_JUMP: "joint_states jumped faster than the arm can turn",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from abc import abstractmethod
+from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, cast
 
@@ -21,9 +22,15 @@ from galen_ros.messages import STREAM, publisher_nodes
 from galen_ros.node.diagnostics import Level, Status
 from galen_ros.node.managed_node import ManagedNode
 from galen_ros.node.robot_description import ArmSource
-from galen_ros.stream.monitor import Severity, StreamMonitor, StreamState
+from galen_ros.stream.monitor import (
+    UNIT_TEXTS,
+    UNITS_HOLD_S,
+    Severity,
+    StreamMonitor,
+    StreamState,
+)
 from galen_ros.stream.pairing import WrenchPairing
-from galen_ros.stream.samples import Rejected
+from galen_ros.stream.samples import Notice, Rejected, Rejection
 
 PushWrench = Callable[[int, Sequence[float], str, object], list[Any]]
 
@@ -97,6 +104,8 @@ class StreamNode(ManagedNode):
         `joint_names` in the order in which `_push_joints` takes them.
         """
         self._pairing = pairing
+        self._units_seen: Counter[Notice] = Counter()
+        self._implausible: tuple[float, str] | None = None
         self._push_wrench = push_wrench
         self._monitor = monitor
         if self.get_parameter("use_sim_time").value:
@@ -171,6 +180,7 @@ class StreamNode(ManagedNode):
             self._pairing.push_bad_joints(text)
             return
         results = self._push_joints(stamp_ns, positions)
+        self._look_at_units(now_s)
         if results:
             self._emit(results)
 
@@ -184,14 +194,36 @@ class StreamNode(ManagedNode):
             self._emit(self._pairing.push_bad_wrench(detail))
             return
         results = self._push_wrench(raw.stamp_ns, raw.wrench, raw.frame_id, (arrival_s, raw))
+        self._look_at_units(arrival_s)
         if results:
             self._emit(results)
+
+    def _look_at_units(self, now_s: float) -> None:
+        """Note which values looked like those of another unit just now."""
+        notices = self._pairing.notices
+        for notice, text in UNIT_TEXTS.items():
+            if notices[notice] > self._units_seen[notice]:
+                self._units_seen[notice] = notices[notice]
+                self._implausible = (now_s, text)
+
+    def _withheld(self) -> tuple[Rejection, str] | None:
+        """Return why what was made of a wrench must not be published; None: it may."""
+        if self._implausible is None or not self._pairing.parameters.check_units:
+            return None
+        since_s, text = self._implausible
+        if time.monotonic() - since_s < UNITS_HOLD_S:
+            return Rejection.UNITS, f"{text} (check_units:=false where they are right)"
+        self._implausible = None
+        return None
 
     def _emit(self, results: Sequence[Any]) -> None:
         changed = False
         for result in results:
             if isinstance(result, Rejected):
                 changed |= self._monitor.on_rejected(result, time.monotonic())
+            elif (why := self._withheld()) is not None:
+                withheld = self._pairing.reject(result.stamp_ns, *why, result.number)
+                changed |= self._monitor.on_rejected(withheld, time.monotonic())
             else:
                 arrival_s, raw = cast(tuple[float, RawWrench], result.tag)
                 self._publish(result, raw)

@@ -82,6 +82,11 @@ class StreamParameters:
         minimum=0.0,
         maximum=60.0,
     )
+    check_units: bool = param(
+        True,
+        "whether nothing is published while torques look like N·mm or joint angles like degrees;"
+        " false: the values are right",
+    )
     sensor_range: tuple[float, ...] = param(
         (125.0, 125.0, 500.0, 3.0, 3.0, 3.0),
         "N, N.m; range of the sensor's axes fx fy fz tx ty tz; a wrench beyond it gives a warning",
@@ -159,6 +164,8 @@ class WrenchPairing:
         self._waiting: deque[PairedWrench] = deque()
         self._newest_wrench_ns: int | None = None
         self._joint_trouble: str | None = None
+        # Joints without limits may be reported over many turns.
+        self._limited = [not arm.endless[k] for k in arm.turning]
         self._distrust: tuple[Enum, str] | None = None
         self._reported: tuple[int, tuple[float, ...]] | None = None
         self._jump: tuple[int, str] | None = None
@@ -295,7 +302,7 @@ class WrenchPairing:
             joints = (math.nan,) * len(joints)
         else:
             angles = self._arm.angles_of(joints)
-            if angle_unit_notice(angles):
+            if angle_unit_notice(angles, self._limited):
                 self.notices[Notice.ANGLE_UNIT] += 1
             if self._jumped(stamp_ns, angles):
                 self.notices[Notice.JOINT_JUMP] += 1
@@ -372,7 +379,7 @@ class WrenchPairing:
         beyond_range, other_unit = self._limits.count_range_notices(arrivals.wrenches)
         self._note(Notice.BEYOND_RANGE, beyond_range)
         self._note(Notice.TORQUE_UNIT, other_unit)
-        self._note(Notice.ANGLE_UNIT, count_angle_unit_notices(angles))
+        self._note(Notice.ANGLE_UNIT, count_angle_unit_notices(angles, self._limited))
         return PairedRun(len(arrivals.is_wrench), number[:out], stamp_ns[:out], raw[:out], joints)
 
     def forget_joints(self, detail: str) -> list[Rejected]:

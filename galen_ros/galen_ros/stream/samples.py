@@ -44,6 +44,9 @@ class Rejection(Enum):
     NONFINITE_JOINTS = "nonfinite_joints"
     JUMPING_JOINTS = "jumping_joints"  # faster than any arm turns
     QUEUE_FULL = "queue_full"
+    UNITS = "implausible_units"  # of the wrench or the joints
+    WRONG_SETUP = "wrong_setup"  # readings at rest contradict it
+    NOT_VERIFIED = "setup_not_verified"  # and no reading at rest has fitted yet
     NO_MOTION = "no_motion"  # inertial forces are asked for and not known at the stamp
     RESTART = "restart"  # was waiting for joints when the driver restarted
 
@@ -158,14 +161,18 @@ def joint_jump(step_ns: Any, step_rad: Any) -> Any:
     return step_rad > JOINT_JUMP_RAD_S * 1e-9 * step_ns
 
 
-def angle_unit_notice(angles: Sequence[float]) -> bool:
-    """Return whether finite angles look like degrees."""
-    return max(map(abs, angles)) > ANGLE_UNIT_LIMIT_RAD
+def angle_unit_notice(angles: Sequence[float], limited: Sequence[bool]) -> bool:
+    """Return whether finite angles (k,) of the joints that are `limited` look like degrees."""
+    return any(
+        abs(angle) > ANGLE_UNIT_LIMIT_RAD
+        for angle, counts in zip(angles, limited, strict=True)
+        if counts
+    )
 
 
-def count_angle_unit_notices(angles: Array) -> int:
+def count_angle_unit_notices(angles: Array, limited: Sequence[bool]) -> int:
     """Count the rows of angles (n, k) for which `angle_unit_notice` holds."""
-    return int((np.abs(angles) > ANGLE_UNIT_LIMIT_RAD).any(axis=1).sum())
+    return int((np.abs(angles[:, list(limited)]) > ANGLE_UNIT_LIMIT_RAD).any(axis=1).sum())
 
 
 def surely_finite(wrenches: Array) -> np.ndarray:

@@ -1,0 +1,160 @@
+"""Is the set-up the one that the calibration file was made with? Asked live, of readings at rest.
+
+The tool's file says what the sensor reads at a pose, so that one rest segment without contact shows
+a mistake that is gross: a reversed reading is off by twice what is expected. What is off by more
+than half of that is compared with what each mistake of `galen_model.setup_check` would read there;
+one that explains the readings of all segments so far contradicts the set-up. A hand on the tool, or
+an offset of the sensor, is explained by none: the set-up is then not verified, and not contradicted
+either. It is verified once readings in three orientations fit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from galen_model.arm.arm import Arm
+from galen_model.arrays import Array
+from galen_model.files.calibration_file import CalibrationFile
+from galen_model.rest.windows import StillWindow
+from galen_model.setup_check.mistakes import Corrected, known_load_mistakes
+from galen_model.setup_check.readings import at_angles
+
+ORIENTATIONS = 3
+"""So many, in which readings fit, verify a set-up."""
+
+_APART = 0.3  # chord between gravity's unit vectors: nearer segments are of one orientation
+_REMEMBERED = 8
+_OFF = 0.5  # of the expected reading, of forces or torques: what contradicts
+_FITS = 0.15  # and what fits
+_FITS_N, _FITS_NM = 0.2, 0.01  # or so much of an offset
+_MOST_TOLD = 3
+
+
+@dataclass(frozen=True)
+class _Segment:
+    direction: Array
+    angles: Array
+    expected: Array
+    output: Array
+
+    def within(self, left: Array, share: float, smallest: float = 1.0) -> bool:
+        """Whether what is left (6,) is at most a share of the reading, or an offset that may be."""
+        sizes = [float(np.linalg.norm(part)) for part in np.split(self.expected, 2)]
+        force, torque = (float(np.linalg.norm(part)) for part in np.split(left, 2))
+        return force <= max(share * sizes[0], smallest * _FITS_N) and torque <= max(
+            share * sizes[1], smallest * _FITS_NM
+        )
+
+    @property
+    def shares_off(self) -> tuple[float, float]:
+        """How much of the expected force and torque the output is."""
+        force, torque = (
+            float(
+                np.linalg.norm(self.output[kind]) / max(np.linalg.norm(self.expected[kind]), 1e-9)
+            )
+            for kind in (slice(3), slice(3, 6))
+        )
+        return force, torque
+
+    @property
+    def share_off(self) -> float:
+        """The larger of them."""
+        return max(self.shares_off)
+
+    @property
+    def fits(self) -> bool:
+        """Whether the reading is the file's."""
+        return self.within(self.output, _FITS)
+
+
+class SetupVerification:
+    """Whether readings at rest have verified or contradicted the set-up, since the last change."""
+
+    def __init__(self, arm: Arm) -> None:
+        self._arm = arm
+        self._tool: CalibrationFile | None = None
+        self._offset = np.zeros(6)
+        self.clear()
+
+    def set_tool(self, tool: CalibrationFile | None) -> None:
+        """Begin anew with another tool, and no tare."""
+        self._tool = tool
+        self._offset = np.zeros(6)
+        self.clear()
+
+    def clear(self) -> None:
+        """Begin anew."""
+        self._segments: list[_Segment] = []
+        self.contradiction = ""
+        """What is wrong, and the remedy; empty where nothing is known to be."""
+
+    def offset_changed(self, change: Array) -> None:
+        """Follow a tare: from now on `change` (6,) more is subtracted than before."""
+        self._offset = self._offset + change
+
+    @property
+    def fitting(self) -> int:
+        """In how many orientations readings fit."""
+        return sum(one.fits for one in self._segments)
+
+    @property
+    def verified(self) -> bool:
+        """Whether readings fit in enough orientations."""
+        return not self.contradiction and self.fitting >= ORIENTATIONS
+
+    @property
+    def text(self) -> str:
+        """The state, for /diagnostics."""
+        if self.contradiction:
+            return f"wrong: {self.contradiction}"
+        if self.verified:
+            return "verified"
+        told = f"not yet verified: fits at rest in {self.fitting} of {ORIENTATIONS} orientations"
+        if self._segments and not self._segments[-1].fits:
+            off = np.linalg.norm(self._segments[-1].output[:3])
+            told += f", {off:.2g} N off in the last; without contact zero or tare the sensor"
+        return told
+
+    def add(self, window: StillWindow) -> None:
+        """Take a steady window at rest, of what goes out."""
+        tool = self._tool
+        if tool is None or tool.mounting is not None:
+            return
+        angles = np.array(window.angles)
+        down = self._arm.gravity_in_sensor(angles)
+        segment = _Segment(down / np.linalg.norm(down), angles, tool.predict(angles), window.mean)
+        if segment.fits and self.contradiction:
+            self.clear()  # it has been mended
+        elsewhere = [
+            one
+            for one in self._segments
+            if np.linalg.norm(one.direction - segment.direction) > _APART
+        ]
+        self._segments = [*elsewhere, segment][-_REMEMBERED:]
+        if not self.verified:
+            self.contradiction = self._explained()
+
+    def _explained(self) -> str:
+        """Return which mistakes explain the readings of all segments, in words; empty for none."""
+        assert self._tool is not None
+        if all(one.within(one.output, _OFF) for one in self._segments):
+            return ""
+        raw = [one.output + self._offset + one.expected for one in self._segments]
+        angles = np.array([one.angles for one in self._segments])
+        good: list[Corrected] = []
+        for mistake in known_load_mistakes(at_angles(np.array(raw), angles, self._arm)):
+            corrected = mistake.readings
+            left = corrected.wrench - self._tool.predict_under(corrected.gravity)
+            pairs = zip(self._segments, left, strict=True)
+            if all(one.within(row, _FITS, 0.5) for one, row in pairs):
+                good.append(mistake)
+        if not good:
+            return ""
+        worst = max(self._segments, key=lambda one: one.share_off)
+        kind, unit = (
+            (slice(3), "N") if worst.share_off == worst.shares_off[0] else (slice(3, 6), "N.m")
+        )
+        off, of = (np.linalg.norm(part[kind]) for part in (worst.output, worst.expected))
+        told = "; or ".join(f"{one.what} ({one.remedy})" for one in good[:_MOST_TOLD])
+        return f"{told}: at rest {off:.2g} {unit} too much, where {of:.2g} {unit} are expected"
