@@ -50,9 +50,8 @@ class _Segment:
     def shares_off(self) -> tuple[float, float]:
         """How much of the expected force and torque the output is."""
         force, torque = (
-            float(
-                np.linalg.norm(self.output[kind]) / max(np.linalg.norm(self.expected[kind]), 1e-9)
-            )
+            float(np.linalg.norm(self.output[kind]))
+            / max(float(np.linalg.norm(self.expected[kind])), 1e-9)
             for kind in (slice(3), slice(3, 6))
         )
         return force, torque
