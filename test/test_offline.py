@@ -74,6 +74,8 @@ def test_the_commands_are_listed_and_an_unknown_one_is_rejected():
     assert done.returncode == 0
     assert all(f"\n  {name} " in done.stdout for name in COMMANDS)
     assert galen("sys.exit(offline.main())", "gravcomp_node").returncode == 2
+    slip = galen("sys.exit(offline.main())", "evalute")
+    assert slip.returncode == 2 and "did you mean evaluate?" in slip.stderr
 
 
 @pytest.mark.slow

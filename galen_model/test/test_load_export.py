@@ -234,7 +234,8 @@ def test_what_is_known_and_what_is_not_stands_in_every_format() -> None:
         assert ("is that of no rigid body" in text) == (form != "control_toolbox")
         assert "export again" not in text
         content = export_load(TOOL, form)
-        assert ("export again" in content["text"]) == (form in ("ur", "franka", "kuka"))
+        robots = ("ur", "franka", "franka-desk", "xarm", "kuka")
+        assert ("export again" in content["text"]) == (form in robots)
         assert json.loads(json.dumps(content)) == content
     with pytest.raises(FrameNeedsJointsError, match="'wrist_2_link' depends on wrist_3"):
         exported("ur", "wrist_2_link")
@@ -246,3 +247,19 @@ def test_the_sum_pulls_as_its_parts_do() -> None:
     whole = hung_load(TOOL)
     one = gravity_wrench(gravity, Load(whole.mass_kg, whole.com_m))
     np.testing.assert_allclose(one, both, atol=1e-12)
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+def test_an_xarm_takes_kg_and_mm_and_desk_an_end_effector_in_si(frame: str) -> None:
+    content = export_load(TOOL, "xarm", frame)
+    call = re.search(r"set_tcp_load\(weight=(.*), center_of_gravity=\[(.*)\]\)", content["text"])
+    assert float(call[1]) == pytest.approx(content["mass_kg"], abs=1e-9)
+    millimetres = [float(value) for value in call[2].split(",")]
+    np.testing.assert_allclose(millimetres, 1e3 * np.array(content["com_m"]), atol=1e-6)
+    text = exported("franka-desk", frame)
+    lines = [line for line in text.splitlines() if not line.startswith("#")]
+    body = json.loads("\n".join(lines))
+    inertia = np.reshape(body["inertia"], (3, 3), order="F")
+    assert_same(body["mass"], body["centerOfMass"], inertia, frame)
+    assert body["mass"] == pytest.approx(content["mass_kg"], abs=1e-6)
+    assert np.reshape(body["transformation"], (4, 4)).tolist() == np.eye(4).tolist()

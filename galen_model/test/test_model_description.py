@@ -211,3 +211,12 @@ def test_the_galen_goes_no_faster_than_its_description_allows():
     arm = read_arm(text)
     assert arm.delta is GALEN.delta
     assert [joint.max_velocity for joint in arm.joints] == [0.2, 0.2, 0.2, 0.4, 0.4]
+
+
+def test_a_xacro_is_told_how_to_expand():
+    text = (
+        '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">'
+        '<xacro:property name="a" value="1"/><link name="base_link"/></robot>'
+    )
+    with pytest.raises(GalenError, match="it is a xacro: run `xacro FILE"):
+        read_arm(text)

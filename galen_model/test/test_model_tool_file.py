@@ -102,6 +102,9 @@ def test_another_urdf_of_the_same_arm_is_a_warning(tmp_path):
     path.write_text(json.dumps(content))
     warning = read_calibration(path).arm_warning
     assert "another URDF of the arm 'galen' (abababababab," in warning
+    content["arm"]["urdf_sha256"] = ""  # not known: nothing to compare
+    path.write_text(json.dumps(content))
+    assert read_calibration(path).arm_warning == ""
 
 
 def test_without_a_zeroing_the_adapter_is_weighed_like_the_tool(tmp_path):

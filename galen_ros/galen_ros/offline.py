@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import sys
 
 from galen_ros import executable
@@ -34,6 +35,10 @@ def main() -> object:
     names = sys.argv[1:2]
     if not names or names[0] not in COMMANDS:
         wanted = names and names[0] in ("-h", "--help")
+        if names and not wanted:
+            near = difflib.get_close_matches(names[0], COMMANDS, 1)
+            hint = f"; did you mean {near[0]}?" if near else ""
+            print(f"galen: {names[0]!r} is no command{hint}", file=sys.stderr)
         lines = [f"  {name:20} {text}" for name, (_, text) in COMMANDS.items()]
         usage = "\n".join(["usage: galen COMMAND ...; galen COMMAND --help", "", *lines])
         print(usage, file=sys.stdout if wanted else sys.stderr)

@@ -49,10 +49,12 @@ def _read(text: str, base_frame: str, sensor_frame: str, gravity_m_s2: ArrayLike
         )
     try:
         root = ElementTree.fromstring(text)
+        if remedy := _xacro(text):
+            raise GalenError(f"the robot description is no URDF yet{remedy}")
         _check_description(root)
         model = pinocchio.buildModelFromXML(text)
     except (ElementTree.ParseError, ValueError) as error:
-        raise GalenError(f"the robot description is not a URDF: {error}") from error
+        raise GalenError(f"the robot description is not a URDF: {error}{_xacro(text)}") from error
     base_frame = base_frame or _root_link(root)
     base, sensor = (_frame(model, name) for name in (base_frame, sensor_frame))
     chain = _chain(model, base.parentJoint, sensor.parentJoint)
@@ -104,6 +106,13 @@ def _read(text: str, base_frame: str, sensor_frame: str, gravity_m_s2: ArrayLike
         return arm
     corrected = (replace(told, home=own.home, stiffness=own.stiffness) for own, told in pairs)
     return replace(arm, joints=tuple(corrected), delta=galen.delta)
+
+
+def _xacro(text: str) -> str:
+    """Return the remedy where the text is a xacro, to end a sentence."""
+    if "ros.org/wiki/xacro" not in text and "<xacro:" not in text:
+        return ""
+    return "; it is a xacro: run `xacro FILE > robot.urdf` and name the result"
 
 
 def _root_link(root: ElementTree.Element) -> str:

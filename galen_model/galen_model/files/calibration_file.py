@@ -204,7 +204,7 @@ class CalibrationFile:
     def arm_warning(self) -> str:
         """A sentence where the file was made on another URDF of this arm, else empty."""
         made, here = self.made_on, self.arm.urdf_sha256
-        if made is None or made.urdf_sha256 == here:
+        if made is None or made.urdf_sha256 in ("", here):
             return ""
         return (
             f"the calibration of '{self.tool}' was made with another URDF of the arm"
@@ -357,7 +357,7 @@ def _from_json(content: Any, arm: Arm) -> CalibrationFile:
     if whole.get("schema_version") == 1:
         whole = _from_schema_1(whole)
     check_version(whole, SCHEMA_VERSION)
-    made = _made_on(get(whole, "arm"), arm)
+    made = _made_on(get(whole, "arm"), arm, str(whole.get("sensor_frame", arm.sensor_frame)))
     gravity = _gravity(get(whole, "gravity_m_s2"), arm)
     frame = text(get(whole, "sensor_frame"), "sensor_frame")
     if frame != arm.sensor_frame:
@@ -421,17 +421,21 @@ def _from_schema_1(whole: Mapping[str, Any]) -> Mapping[str, Any]:
     }  # fmt: skip
 
 
-def _made_on(value: Any, here: Arm) -> ArmIdentity:
-    """Read `arm`; another arm than this one is rejected with both names."""
+def _made_on(value: Any, here: Arm, frame: str) -> ArmIdentity:
+    """Read `arm`; another arm than this one is rejected with both names, and `frame`."""
     whole = mapping(value, "arm")
     joints = tuple(text(name, "arm.joints") for name in items(get(whole, "joints"), "arm.joints"))
     name = text(get(whole, "name"), "arm.name")
     if joints != here.joint_names:
         raise FieldError(
             f"made on the arm '{name}' with the joints {', '.join(joints) or 'none'}; this arm is"
-            f" '{here.name}' with {', '.join(here.joint_names)}: calibrate the tool on it"
+            f" '{here.name}' with {', '.join(here.joint_names)}: calibrate the tool on it, or name"
+            f" the file's arm and frame (--urdf FILE --sensor-frame {frame}; nodes: urdf_file,"
+            " sensor_frame)"
         )
-    return ArmIdentity(name, joints, text(get(whole, "urdf_sha256"), "arm.urdf_sha256"))
+    # Empty: the description is not known.
+    digest = get(whole, "urdf_sha256")
+    return ArmIdentity(name, joints, digest and text(digest, "arm.urdf_sha256"))
 
 
 def _gravity(value: Any, here: Arm) -> Array:

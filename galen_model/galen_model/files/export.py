@@ -36,7 +36,7 @@ from galen_model.rotation import matrix_to_rotvec
 # Densest common material of a tool (steel, kg/m^3): the least that a body's inertia can be.
 _DENSITY_KG_M3 = 7850.0
 _DECIMALS = 12
-_ROBOTS = ("ur", "franka", "kuka")
+_ROBOTS = ("ur", "franka", "franka-desk", "xarm", "kuka")
 
 
 def hung_load(tool: CalibrationFile) -> LoadEstimate:
@@ -169,6 +169,31 @@ def _franka(load: LoadEstimate, inertia: Array | None, *_: object) -> _Lines:
     return [note], [f'# {call} "{{{", ".join(lines)}}}"', *lines]
 
 
+def _franka_desk(load: LoadEstimate, inertia: Array | None, *_: object) -> _Lines:
+    notes = [
+        "endeffector-config.json of an end effector archive, which Desk's settings take (Franka's"
+        " RIDE documentation): its own lines begin with { and end with }.",
+        "It takes the place of the end effector that is set in Desk: don't count a part twice.",
+    ]
+    columns = np.zeros((3, 3)) if inertia is None else inertia
+    return notes, [
+        "{",
+        '  "id": "galen-tool", "name": "galen tool", "color": "grey",',
+        f'  "mass": {_number(load.mass_kg)},',
+        f'  "centerOfMass": [{_row(load.com_m, ", ")}],',
+        f'  "transformation": [{_row(np.eye(4).ravel(), ", ")}],',
+        f'  "inertia": [{_row(columns.T.ravel(), ", ")}]',
+        "}",
+    ]
+
+
+def _xarm(load: LoadEstimate, _inertia: Array | None, *_: object) -> _Lines:
+    centre = _row(1e3 * np.asarray(load.com_m), ", ")
+    return ["xArm-Python-SDK: kg and mm in the flange's frame; it takes no inertia."], [
+        f"arm.set_tcp_load(weight={_number(load.mass_kg)}, center_of_gravity=[{centre}])"
+    ]
+
+
 def _kuka(load: LoadEstimate, inertia: Array | None, *_: object) -> _Lines:
     moments, r = principal_axes(np.zeros((3, 3)) if inertia is None else inertia)
     # R = Rz(A) Ry(B) Rx(C), and cos B is not 0.
@@ -237,6 +262,8 @@ _Lines = tuple[list[str], list[str]]
 FORMATS: dict[str, tuple[Callable[..., _Lines], str]] = {
     "ur": (_ur, "# {}"),
     "franka": (_franka, "# {}"),
+    "franka-desk": (_franka_desk, "# {}"),
+    "xarm": (_xarm, "# {}"),
     "kuka": (_kuka, "; {}"),
     "urdf": (_urdf, "<!-- {} -->"),
     "control_toolbox": (_control_toolbox, "# {}"),
