@@ -234,6 +234,7 @@ class CalibrationMonitor:
         """Take a wrench (6,) as it goes out, and the angles (k,) at its stamp."""
         if self._evidence is None:
             return
+        self.setup.push(stamp_ns, angles, output)
         window = self._windows.push(stamp_ns, angles, output)
         if window is None:
             # One piece a sample, so that no sample waits for all of it.

@@ -23,6 +23,9 @@ from galen_model.setup_check.readings import at_angles
 ORIENTATIONS = 3
 """So many, in which readings fit, verify a set-up."""
 
+_WINDOW_NS = 300_000_000
+_FEWEST_SAMPLES = 5
+_STILL_RAD = 0.003  # an arm that turns by less over a window is at rest
 _APART = 0.3  # chord between gravity's unit vectors: nearer segments are of one orientation
 _REMEMBERED = 8
 _OFF = 0.5  # of the expected reading, of forces or torques: what contradicts
@@ -74,6 +77,7 @@ class SetupVerification:
         self._arm = arm
         self._tool: CalibrationFile | None = None
         self._offset = np.zeros(6)
+        self._angles: tuple[float, ...] = ()
         self.clear()
 
     def set_tool(self, tool: CalibrationFile | None) -> None:
@@ -87,6 +91,41 @@ class SetupVerification:
         self._segments: list[_Segment] = []
         self.contradiction = ""
         """What is wrong, and the remedy; empty where nothing is known to be."""
+        self.verified = False
+        """Whether readings fit in enough orientations."""
+        self._drop()
+
+    def push(self, stamp_ns: int, angles: tuple[float, ...], output: Array) -> None:
+        """Take a wrench (6,) as it goes out, until the set-up is verified.
+
+        Averages of 0.3 s are enough for mistakes that are gross, long before the sensor's noise is
+        learned that the calibration monitor's windows need.
+        """
+        if self.verified:
+            return
+        if not self._outputs:
+            self._from_ns, self._angles = stamp_ns, angles
+        elif any(abs(a - b) > _STILL_RAD for a, b in zip(angles, self._angles, strict=True)):
+            self._drop()
+            return
+        self._outputs.append(output)
+        if stamp_ns - self._from_ns < _WINDOW_NS:
+            return
+        outputs = np.array(self._outputs)
+        self._drop()
+        if self._tool is None or len(outputs) < _FEWEST_SAMPLES:
+            return
+        segment_angles = np.array(angles)
+        force = float(np.linalg.norm(self._tool.predict(segment_angles)[:3]))
+        std = outputs.std(axis=0)
+        if float(np.linalg.norm(std[:3])) <= max(_FITS * force, _FITS_N):
+            mean, of_mean = outputs.mean(axis=0), std / np.sqrt(len(outputs))
+            window = (self._from_ns, stamp_ns, len(outputs), mean, of_mean, angles, True)
+            self.add(StillWindow(*window))
+
+    def _drop(self) -> None:
+        self._outputs: list[Array] = []
+        self._from_ns = 0
 
     def offset_changed(self, change: Array) -> None:
         """Follow a tare: from now on `change` (6,) more is subtracted than before."""
@@ -96,11 +135,6 @@ class SetupVerification:
     def fitting(self) -> int:
         """In how many orientations readings fit."""
         return sum(one.fits for one in self._segments)
-
-    @property
-    def verified(self) -> bool:
-        """Whether readings fit in enough orientations."""
-        return not self.contradiction and self.fitting >= ORIENTATIONS
 
     @property
     def text(self) -> str:
@@ -133,6 +167,7 @@ class SetupVerification:
         self._segments = [*elsewhere, segment][-_REMEMBERED:]
         if not self.verified:
             self.contradiction = self._explained()
+            self.verified = not self.contradiction and self.fitting >= ORIENTATIONS
 
     def _explained(self) -> str:
         """Return which mistakes explain the readings of all segments, in words; empty for none."""

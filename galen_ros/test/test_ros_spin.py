@@ -54,6 +54,7 @@ def test_a_signal_ends_the_node_cleanly(number):
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),  # nohup ignores it
     ) as process:
         assert process.stdout.readline() == "running\n"
         process.send_signal(number)

@@ -93,6 +93,20 @@ REJECTED = {
         "the joint angles jump",
         "Look whether two drivers publish joint_states, and whether the encoders work.",
     ),
+    "implausible_units": Advice(
+        "values look like those of another unit",
+        "The driver must send torques in N·m and angles in rad. If the values are right, set the"
+        " parameter check_units to false.",
+    ),
+    "wrong_setup": Advice(
+        "readings at rest contradict the set-up",
+        "Correct what the message names in the driver or the robot description; it goes on when a"
+        " reading at rest fits.",
+    ),
+    "setup_not_verified": Advice(
+        "no reading at rest has fitted yet",
+        "Let the arm rest without contact; zero or tare the sensor if its offset has changed.",
+    ),
     "queue_full": Advice(
         "wrenches come, but no joint angles that are as new",
         "Look whether the arm's driver still publishes joint_states, and whether both drivers stamp"
