@@ -37,7 +37,7 @@ class SetupError(GalenError):
 
 
 @dataclass(frozen=True)
-class Explanation:
+class SetupExplanation:
     """One or two mistakes that explain the readings; `fit` is the load without them."""
 
     mistakes: tuple[Corrected, ...]
@@ -77,7 +77,7 @@ class SetupFinding:
     """
 
     fit: LoadFit
-    explanations: tuple[Explanation, ...]
+    explanations: tuple[SetupExplanation, ...]
     dead: tuple[str, ...] = ()
 
     @property
@@ -196,7 +196,7 @@ def _dead_axes(readings: StillReadings) -> tuple[str, ...]:
 def check_fit(readings: StillReadings, mistake: Corrected) -> SetupFinding | None:
     """Return the finding where one mistake explains readings that no load fits; else None."""
     fit = fit_load(readings)
-    one = Explanation((mistake,), fit_load(mistake.readings, mistake.parameters))
+    one = SetupExplanation((mistake,), fit_load(mistake.readings, mistake.parameters))
     return SetupFinding(fit, (one,)) if _explains(one, fit, None) else None
 
 
@@ -221,7 +221,7 @@ def _fits(fit: LoadFit, noise: Array | None) -> np.ndarray:
     return np.asarray(small | (fit.residual < _NOISES * kinds))
 
 
-def _explains(one: Explanation, before: LoadFit, noise: Array | None) -> bool:
+def _explains(one: SetupExplanation, before: LoadFit, noise: Array | None) -> bool:
     found = one.fit
     if found.fault:
         return False
@@ -240,20 +240,20 @@ def _explains(one: Explanation, before: LoadFit, noise: Array | None) -> bool:
     return bool(np.prod(ratio) > _FITTED_GAIN and np.all(fits | (ratio > _FITTED_KIND_GAIN)))
 
 
-def _best(good: list[Explanation]) -> tuple[Explanation, ...]:
+def _best(good: list[SetupExplanation]) -> tuple[SetupExplanation, ...]:
     """Return those whose residuals are about the smallest; the list's order is kept."""
     badness = [float(np.sum(np.log(np.maximum(one.fit.relative, 1e-9)))) for one in good]
     least = min(badness) + 2.0 * np.log(_ALIKE)
     return tuple(one for one, bad in zip(good, badness, strict=True) if bad <= least)
 
 
-def _singles(readings: StillReadings) -> Iterator[Explanation]:
+def _singles(readings: StillReadings) -> Iterator[SetupExplanation]:
     for kind in KINDS:
         for one in kind(readings):
-            yield Explanation((one,), fit_load(one.readings, one.parameters))
+            yield SetupExplanation((one,), fit_load(one.readings, one.parameters))
 
 
-def _pairs(readings: StillReadings) -> Iterator[Explanation]:
+def _pairs(readings: StillReadings) -> Iterator[SetupExplanation]:
     """Yield two mistakes of different kinds, the one undone after the other.
 
     Units and orientation first: axes and gravity are found from what they leave.
@@ -264,4 +264,4 @@ def _pairs(readings: StillReadings) -> Iterator[Explanation]:
             for second in (*first_kinds[at + 1 :], KINDS[0]):
                 for two in second(one.readings):
                     fit = fit_load(two.readings, one.parameters + two.parameters)
-                    yield Explanation((one, two), fit)
+                    yield SetupExplanation((one, two), fit)
