@@ -14,6 +14,7 @@ from galen_ros.command import EXIT_OK, finite, make_parser, own_arguments, whole
 from galen_ros.goal.client import (
     GoalClient,
     add_client_options,
+    cancel_goals,
     read_options,
     report_error,
     result_to_dict,
@@ -119,7 +120,12 @@ def parse(arguments: list[str]) -> argparse.Namespace:
         failed="failed; one line gives the reason, nothing is written",
         interrupted="canceled (Ctrl-C); the arm is stopped, nothing is written",
     )
-    parser.add_argument("tool", help="name of the tool and of its file: letters, digits, _ and -")
+    parser.add_argument(
+        "tool", nargs="?", help="name of the tool and of its file: letters, digits, _ and -"
+    )
+    parser.add_argument(
+        "--cancel", action="store_true", help="cancel the calibration that runs, and stop the arm"
+    )
     parser.add_argument(
         "--tip",
         nargs=3,
@@ -153,12 +159,17 @@ def parse(arguments: list[str]) -> argparse.Namespace:
         "--iters-r", type=whole(0, 100), default=0, help="number of rolls; 0: the node's"
     )
     add_client_options(parser)
-    return read_options(parser, arguments, tool="tool")
+    options = read_options(parser, arguments, tool="tool")
+    if (options.tool is None) != options.cancel:
+        parser.error("give a TOOL, or --cancel")
+    return options
 
 
 def main() -> None:
     """Run the client; see `calibrate --help`."""
     options = parse(own_arguments(sys.argv)[1:])
+    if options.cancel:
+        cancel_goals("calibrate", CalibrateClient, options.timeout_s)
     run_client("calibrate", CalibrateClient, options, _print_result)
 
 

@@ -138,6 +138,24 @@ def test_a_terminal_that_closes_cancels_and_the_arm_is_stopped(world):
     assert world.files == []
 
 
+def test_another_terminal_cancels_it(world):
+    many = ("--iters-t", "30", "--iters-r", "30")  # so that it still runs then
+    with calibrate(world.harness, "pointer", *many) as client:
+        world.harness.wait_for(
+            lambda: world.node._goal and world.node._goal.procedure.progress[0] >= 1,
+            20.0,
+            "the first pose",
+        )
+        with calibrate(world.harness, "--cancel") as other:
+            code, out, error = other.end()
+        assert (code, out) == (0, "1 goal canceled; the arm is stopped\n"), error
+        code, _, error = client.end()
+    assert code == 130 and "CANCELED" in error
+    assert world.driver.stops == 1
+    with calibrate(world.harness, "--cancel") as other:
+        assert other.end()[1] == "calibration_node runs no goal\n"
+
+
 class SlowServer(Node):
     """Takes goals only when told to; `canceled` are those that it was then asked to cancel."""
 

@@ -15,6 +15,7 @@ from typing import Any, ClassVar, NoReturn
 
 import numpy as np
 import rclpy
+from action_msgs.srv import CancelGoal
 from diagnostic_msgs.msg import DiagnosticArray
 from galen_model.errors import GalenError, ToolNameError
 from galen_model.files.calibration_file import check_tool_name
@@ -242,6 +243,33 @@ def report_error(name: str, code: IntEnum, message: str) -> int:
         return EXIT_OK
     print(f"{name}: {code.name}: {message}", file=sys.stderr)
     return EXIT_INTERRUPTED if code.name == "CANCELED" else EXIT_FAILED
+
+
+def cancel_goals(name: str, client: type[GoalClient], timeout_s: float) -> NoReturn:
+    """Cancel whatever goal of a client's action runs; leave with an exit code."""
+    init_ros(sys.argv)
+    node = Node(f"{client.node_name}_cancel")
+    try:
+        service = node.create_client(CancelGoal, f"{client.action_name}/_action/cancel_goal")
+        if not service.wait_for_service(timeout_s):
+            print(f"{name}: no {client.server} after {timeout_s:g} s", file=sys.stderr)
+            raise SystemExit(EXIT_FAILED)
+        answer = service.call_async(CancelGoal.Request())  # of no id and no time: all
+        rclpy.spin_until_future_complete(node, answer, timeout_sec=timeout_s)
+        result = answer.result() if answer.done() else None
+        if result is None:
+            print(f"{name}: {client.server} did not answer", file=sys.stderr)
+            raise SystemExit(EXIT_FAILED)
+        count = len(result.goals_canceling)
+        print(
+            f"{count} goal{'s' * (count != 1)} canceled; the arm is stopped"
+            if count
+            else f"{client.server} runs no goal"
+        )
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+    raise SystemExit(EXIT_OK)
 
 
 def run_client(
