@@ -31,6 +31,16 @@ _TOPICS = (
     "joint_trajectory",
     "robot_description",
 )
+_SERVICES = ("zero_ft_sensor", "attach_tool")
+_ACTION = "follow_joint_trajectory"
+# A remap of an action's name alone does not reach what it is made of.
+_ACTION_PARTS = (
+    "/_action/send_goal",
+    "/_action/cancel_goal",
+    "/_action/get_result",
+    "/_action/feedback",
+    "/_action/status",
+)
 _CRTK = {"wrench_raw": "measured_cf", "joint_states": "measured_js"}
 
 
@@ -45,6 +55,9 @@ def generate_launch_description() -> LaunchDescription:
             crtk_name = [LaunchConfiguration("crtk_namespace"), "/", _CRTK[topic]]
             name = IfElseSubstitution(crtk, if_value=crtk_name, else_value=name)
         remaps.append((topic, name))
+    remaps += [(service, LaunchConfiguration(service)) for service in _SERVICES]
+    action = LaunchConfiguration(_ACTION)
+    remaps += [(f"{_ACTION}{part}", [action, part]) for part in _ACTION_PARTS]
     common = {
         "namespace": LaunchConfiguration("namespace"),
         "remappings": remaps,
@@ -76,7 +89,14 @@ def generate_launch_description() -> LaunchDescription:
                     "use_robot_description": ("false", "the arm is that of robot_description"),
                     "crtk": ("false", "inputs by their CRTK names"),
                     "crtk_namespace": ("/REMS/Research", "where they are"),
-                    **{topic: (topic, f"{topic} on this arm") for topic in _TOPICS},
+                    "require_collision_shapes": (
+                        "true",
+                        "calibrate only an arm whose description has collision shapes",
+                    ),
+                    **{
+                        name: (name, f"{name} on this arm")
+                        for name in (*_TOPICS, *_SERVICES, _ACTION)
+                    },
                 }
             ),
             Node(
@@ -96,7 +116,15 @@ def generate_launch_description() -> LaunchDescription:
                 executable="calibration_node",
                 name="calibration",
                 ros_arguments=enclave("calibration"),
-                parameters=[config, overrides],
+                parameters=[
+                    config,
+                    overrides,
+                    {
+                        "require_collision_shapes": ParameterValue(
+                            LaunchConfiguration("require_collision_shapes"), value_type=bool
+                        )
+                    },
+                ],
                 **common,
             ),
             Node(

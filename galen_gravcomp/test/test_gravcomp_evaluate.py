@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from calibration_files import pointer
-from galen_bags.arrays.tables import OrientationTable, read_table
+from galen_bags.arrays.tables import OrientationTable, is_recording, read_table
 from galen_gravcomp.evaluate.command import main
 from galen_gravcomp.evaluate.table_scores import (
     contiguous_blocks,
@@ -114,6 +114,7 @@ def test_wrenches_in_the_base_are_turned_back(tmp_path, readings):
         ("fx,fy,fz,tx,ty,tz,roll,tilt\n1,2,3,4,5,6,0\n", "line 2 has 7 values"),
         ("fx,fy,fz,tx,ty,tz,roll,tilt\n1,2,3,4,5,x,0,0\n", "line 2, column 'tz': 'x'"),
         ("fx,fy,fz,tx,ty,tz,roll,tilt\n1,2,3,4,5,nan,0,0\n", "every row lacks a number"),
+        ("fx [g],fy,fz,tx,ty,tz,roll,tilt\n1,2,3,4,5,6,0,0\n", "has the unit 'g'; expected n or"),
         ("fx,fy,fz,tx [lbf],ty,tz,roll,tilt\n1,2,3,4,5,6,0,0\n", "has the unit 'lbf'"),
         ("fx,fy,fz,tx,ty,tz,roll,pitch,yaw\n1,2,3,4,5,6,0,0,90\n", "are they degrees?"),
         ("fx,fy,fz,tx,ty,tz,roll,tilt\n", "no readings"),
@@ -176,6 +177,24 @@ def test_a_table_has_a_verdict_and_a_wrong_set_up_writes_no_file(tmp_path, readi
         assert not tool.exists()
     assert main([str(path), "--write-tool", str(tool), "--no-setup-check"]) == 0
     assert tool.exists()
+
+
+def test_a_torque_that_is_dead_is_no_load_that_fits(tmp_path, readings, capsys):
+    _, _, _, gravity, wrench = readings
+    path = write(
+        tmp_path / "t.csv",
+        ["gx", "gy", "gz", *WRENCH],
+        np.hstack([gravity, wrench * [1, 1, 1, 0, 1, 1]]),
+    )
+    assert main([str(path), "--write-tool", str(tmp_path / "tool.json")]) == 1
+    assert "does not fit" in capsys.readouterr().err
+
+
+def test_many_poses_that_do_not_follow_each_other_are_no_recording():
+    rng = np.random.default_rng(8)
+    gravity = rng.normal(size=(600, 3))
+    gravity *= 9.80665 / np.linalg.norm(gravity, axis=1, keepdims=True)
+    assert not is_recording(table_of(gravity, gravity_wrench(gravity, LOAD)))
 
 
 def test_a_long_table_is_averaged_and_told_at_once(tmp_path, readings, capsys):

@@ -100,16 +100,32 @@ def read_text_table(
 
 
 _WITH_UNIT = re.compile(r"(.*?)\s*[\[(]([^\])]*)[\])]")
-_UNITS = {
-    **dict.fromkeys(
-        ("", "n", "nm", "n.m", "n·m", "n*m", "s", "rad", "m/s2", "m/s^2", "g", "-"), 1.0
-    ),
-    **dict.fromkeys(("nmm", "n.mm", "n·mm", "n*mm", "mnm", "mn.m", "mn·m", "mn", "ms"), 1e-3),
-    **dict.fromkeys(("us", "µs"), 1e-6),
-    "kgf": STANDARD_GRAVITY_M_S2,
-    **dict.fromkeys(("deg", "°", "degrees"), np.pi / 180.0),
-    **dict.fromkeys(("c", "°c", "degc", "k"), 1.0),
+_NEWTON = {"n": 1.0, "mn": 1e-3, "kgf": STANDARD_GRAVITY_M_S2}
+_NEWTON_METRE = {
+    **dict.fromkeys(("nm", "n.m", "n·m", "n*m"), 1.0),
+    **dict.fromkeys(("nmm", "n.mm", "n·mm", "n*mm", "mnm", "mn.m", "mn·m"), 1e-3),
 }
+_SECOND = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6}
+_RADIAN = {"rad": 1.0, **dict.fromkeys(("deg", "°", "degrees"), np.pi / 180.0)}
+_ACCELERATION = {"m/s2": 1.0, "m/s^2": 1.0, "g": 1.0}  # g is known by its length
+_NO_UNIT = {"-": 1.0}
+
+
+def _units_of(name: str) -> dict[str, float]:
+    """Return the units that a column may have, and what makes its numbers SI."""
+    if name in WRENCH_AXES:
+        return _NEWTON if name[0] == "f" else _NEWTON_METRE
+    if name == "t":
+        return _SECOND
+    if name in TEMPERATURES:
+        return dict.fromkeys(("c", "°c", "degc", "k"), 1.0)
+    if name in ("gx", "gy", "gz", "ax", "ay", "az"):
+        return _ACCELERATION
+    if name in (*ORIENTATIONS["quaternion"], *ORIENTATIONS["matrix"]):
+        return _NO_UNIT
+    return _RADIAN
+
+
 _ALSO_CALLED = {"time": "t", "mx": "tx", "my": "ty", "mz": "tz"}
 
 
@@ -121,12 +137,14 @@ def _name_and_scale(path: Path, header: str, known: Collection[str]) -> tuple[st
     name, unit = (found[1], found[2].strip()) if found else (header, "")
     lower = name.strip().lower()
     name = next((one for one in (name, lower, _ALSO_CALLED.get(lower, "")) if one in known), header)
-    if name in known and unit.lower() not in _UNITS:
+    if name not in known or not unit:
+        return name, 1.0
+    units = _units_of(name)
+    if unit.lower() not in units:
         raise GalenError(
-            f"{path}: column {header!r} has the unit {unit!r}; expected one of"
-            f" {', '.join(one for one in _UNITS if one)}"
+            f"{path}: column {header!r} has the unit {unit!r}; expected {' or '.join(units)}"
         )
-    return name, _UNITS[unit.lower()] if name in known else 1.0
+    return name, units[unit.lower()]
 
 
 def _lacks(cell: str) -> bool:
@@ -240,6 +258,9 @@ TEMPERATURES = {
 
 _ROTATION_TOLERANCE = 1e-2
 _MOST_CHECKED = 300
+MOST_READINGS = 500
+"""More are averaged where they are a recording: the time of a fit grows with the readings."""
+_NEIGHBOURS_RAD = 0.02
 _MOST_EULER_RAD = 2.0 * np.pi + 0.1
 _GRAVITY_TOLERANCE = 0.02
 
@@ -369,8 +390,10 @@ def read_orientations(
 
 def still_readings(table: OrientationTable) -> StillReadings:
     """Return the readings for a check of the set-up; a long table's averaged."""
-    if len(table) > _MOST_CHECKED:
+    if is_recording(table):
         table = average_runs(table, _MOST_CHECKED)
+    elif len(table) > _MOST_CHECKED:
+        table = table.take(np.linspace(0, len(table) - 1, _MOST_CHECKED).astype(int), None)
     return StillReadings(table.wrench, table.gravity, table.arm, table.rotation, table.angles)
 
 
@@ -388,6 +411,15 @@ def without_repeats(table: OrientationTable) -> tuple[OrientationTable, int]:
         return table, 0
     block = None if table.block is None else table.block[rows]
     return table.take(rows, block), int(np.count_nonzero(~rows))
+
+
+def is_recording(table: OrientationTable) -> bool:
+    """Return whether readings follow each other in a motion, and are more than a fit needs."""
+    if len(table) <= MOST_READINGS:
+        return False
+    unit = table.gravity / np.linalg.norm(table.gravity, axis=1, keepdims=True)
+    step_rad = np.linalg.norm(np.diff(unit, axis=0), axis=1)
+    return bool(np.median(step_rad) < _NEIGHBOURS_RAD)
 
 
 def average_runs(table: OrientationTable, most: int) -> OrientationTable:

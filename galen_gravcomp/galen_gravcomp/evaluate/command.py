@@ -13,7 +13,7 @@ from typing import Any
 
 from galen_bags.archive import Archive, find_recordings, local_copy, print_summary
 from galen_bags.arrays.arm_recording import topics_of
-from galen_bags.arrays.tables import read_motion, read_specific, read_table
+from galen_bags.arrays.tables import is_recording, read_motion, read_specific, read_table
 from galen_bags.formats.files import find_bags
 from galen_bags.many import ArchivedRecording, Place, json_rows, name_depth, name_of, run_many
 from galen_model.errors import CalibrationFileError, GalenError, IdentificationError
@@ -46,7 +46,7 @@ from galen_gravcomp.evaluate.imu_run import imu_run_report
 from galen_gravcomp.evaluate.options import NODE_OPTIONS, build_parser
 from galen_gravcomp.evaluate.report import Report
 from galen_gravcomp.evaluate.table_report import scores_report
-from galen_gravcomp.evaluate.table_scores import MOST_READINGS, evaluate_table, tool_from_table
+from galen_gravcomp.evaluate.table_scores import evaluate_table, tool_from_table
 from galen_gravcomp.parameters import GravcompParameters
 
 _CELL_LIMITS_S = 1e-3, 3600.0
@@ -128,7 +128,7 @@ def _evaluate_table(arguments: argparse.Namespace) -> Report:
     check_file(written)
     arm, columns = chosen_arm(arguments), _columns(arguments)
     table = read_table(arguments.inputs[0], columns, arguments.wrench_frame, arm)
-    if len(table) > MOST_READINGS and arguments.average_s is None:
+    if is_recording(table) and arguments.average_s is None:
         print(
             f"evaluate: {len(table)} rows look like a recording, and are averaged; --average-s"
             " SECONDS averages at rest alone",

@@ -14,6 +14,7 @@ from galen_bags.arrays.tables import (
     OrientationTable,
     average_runs,
     average_still,
+    is_recording,
     still_readings,
     without_repeats,
 )
@@ -31,9 +32,8 @@ from galen_model.setup_check.check import SetupError, SetupFinding, check_setup
 from galen_model.setup_check.readings import fit_load
 
 _FEWEST_READINGS = 4
-MOST_READINGS = 500
-"""More are a recording, which is averaged: the time of a fit grows with the readings."""
 _AVERAGES = 200
+_LEAST_LEVER_M = 0.002
 _FITS, _DOES_NOT_FIT = 0.02, 0.3  # residual over change; sensors promise 0.5 to 1.5 % of full scale
 _MOST_LEFT_OUT_ONE_BY_ONE = 200  # each takes a fit of all others
 _CHOSEN = "galen, chosen"
@@ -167,16 +167,23 @@ class TableEvaluation:
     setup: SetupFinding | None = None
 
     @property
-    def relative(self) -> Array:
-        """Residual of forces and torques (2,) over how they change."""
-        return fit_load(still_readings(self.table)).relative
+    def off(self) -> float:
+        """Residual over how readings change: of forces or, where they are more than noise, torques.
+
+        A torque's residual counts from a lever of 2 mm of the weight on.
+        """
+        fit = fit_load(still_readings(self.table))
+        weight = abs(fit.mass_kg) * STANDARD_GRAVITY_M_S2
+        counts = fit.residual[1] > _LEAST_LEVER_M * weight
+        return float(max(fit.relative[0], fit.relative[1] if counts else 0.0))
 
     @property
     def fits(self) -> bool | None:
         """Whether the load fits; None: not well, and not badly."""
-        if self.setup is not None or self.relative[0] > _DOES_NOT_FIT:
+        off = self.off
+        if self.setup is not None or off > _DOES_NOT_FIT:
             return False
-        return True if self.relative[0] < _FITS else None
+        return True if off < _FITS else None
 
     @property
     def verdict(self) -> str:
@@ -217,7 +224,7 @@ def evaluate_table(
         table, repeats = without_repeats(table)
         if repeats:
             read_notes.append(f"{repeats} rows repeat another one: counted once")
-    if average_window_s is None and len(table) > MOST_READINGS:
+    if average_window_s is None and is_recording(table):
         table = average_runs(table, _AVERAGES)
         read_notes.append(
             f"{source_rows} rows are a recording: averaged to {len(table)} readings, also in"
