@@ -207,6 +207,24 @@ def test_joints_that_lack_one_are_rejected(harness, folder):
     assert len(bench.arm.deflections) == len(bench.arm.poses) == 1
 
 
+def test_torques_in_another_unit_are_no_deflection_until_they_are_plausible(harness, folder):
+    bench = Bench(harness, folder / "good.json")
+    bench.step()
+    bench.outputs(1)
+    torques = [1.0, -2.0, 3.0, 500.0, -200.0, 300.0]
+    values = bench.state(
+        "implausible_units",
+        Level.ERROR,
+        "are they in N.mm?",
+        feed=lambda: bench.step(wrench=torques),
+    )
+    assert "nothing is published" in values["message"]
+    assert len(bench.arm.deflections) == 1
+    harness.wait_for(
+        lambda: bench.step() and len(bench.arm.deflections) > 1, 8.0, "a deflection after it"
+    )
+
+
 @pytest.mark.parametrize(
     ("file", "state", "level", "words"),
     [
