@@ -141,6 +141,7 @@ def calibration_page(
         loads=[
             PageRow((name, _mass(load), _centre(load)))
             for name, load in ((file.tool, file.load), ("adapter", file.adapter))
+            if load.mass_kg  # one load has no adapter of its own
         ],
         model=f"Model: {found.model}." if found.model else "",
         reason=found.reason,
