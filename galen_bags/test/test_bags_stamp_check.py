@@ -60,6 +60,18 @@ def test_duplicates_and_samples_out_of_order():
     assert {kind for kind, _, _ in found.events} >= {"duplicate", "out_of_order"}
 
 
+@pytest.mark.parametrize("block", [1, 7, 700, 5000])
+def test_what_only_comes_late_is_no_gap_and_not_missing(block):
+    stamps, logs = clean()
+    order = np.arange(5000)
+    for at in (300, 701, 2500):  # one sample comes five places later
+        order[at : at + 6] = np.roll(order[at : at + 6], -1)
+    found = report(stamps[order], logs, block)
+    assert (found.out_of_order, found.gaps, found.missing, found.jumps) == (3, 0, 0, 0)
+    assert {kind for kind, _, _ in found.events} == {"out_of_order"}
+    assert found.rate_hz == pytest.approx(500.0, rel=1e-3)
+
+
 def test_unstamped_messages_are_counted_and_spoil_nothing_else():
     stamps, logs = clean()
     stamps[50:60] = 0

@@ -195,7 +195,9 @@ async def test_a_calibration_is_shown_beside_the_old_one_and_kept(user, suite):
     await user.until(lambda: ("compare", "retractor") in suite.calls)
     await user.until(lambda: "+0.10 g" in user.text("beside"))
     assert "Residual of the averaged readings: 2.4 mN, 0.052 mN·m." in user.text("outcome")
-    assert "Model: constant bias - 8 blocks: none is better." in user.text("outcome")
+    shown = user.text("outcome")
+    assert "The load and a constant offset explain all poses." in shown
+    assert "Model: constant bias - 8 blocks: none is better." in shown  # folded
     assert "1 not used" in _headers(user)
     user.click("keep")
     await user.until(lambda: ("activate", "retractor") in suite.calls)

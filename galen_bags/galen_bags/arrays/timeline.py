@@ -20,6 +20,7 @@ _NS = 1e9
 # Steps of this many periods are gaps; schedulers make steps of two.
 _GAP_PERIODS = 2.5
 _KEPT_EVENTS = 100
+_KEPT_GAPS = 100
 _KINDS = ("gap", "jump", "duplicate", "out_of_order", "unstamped")
 _MOST_JUMPS = 5
 
@@ -72,6 +73,8 @@ class StampCheck:
     _longest_ns: int = 0
     _delay: list[float] = field(default_factory=lambda: [np.inf, 0.0, -np.inf])
     _events: list[tuple[str, float, float]] = field(default_factory=list)
+    # Begin and end, ns, and how many samples are missing: one that comes late may be of them.
+    _gaps: list[list[int]] = field(default_factory=list)
 
     def add(self, stamp_ns: np.ndarray, log_time_ns: np.ndarray) -> None:
         """Take stamps (n,) and log times (n,), ns."""
@@ -90,9 +93,47 @@ class StampCheck:
         if self._last is not None:
             stamp_ns = np.concatenate([[self._last[0]], stamp_ns])
             log_time_ns = np.concatenate([[self._last[1]], log_time_ns])
+        late = self._late(stamp_ns, log_time_ns)
+        filling = stamp_ns[late]
+        stamp_ns, log_time_ns = np.delete(stamp_ns, late), np.delete(log_time_ns, late)
         self._last = (int(stamp_ns[-1]), int(log_time_ns[-1]))
         if len(stamp_ns) > 1:
             self._judge(stamp_ns, np.diff(stamp_ns), np.diff(log_time_ns))
+        for stamp in filling:
+            self._fill(int(stamp))
+
+    def _late(self, stamp_ns: np.ndarray, log_time_ns: np.ndarray) -> list[int]:
+        """Return the rows of samples that are older than one before them, and no jump."""
+        if not np.any(np.diff(stamp_ns) < 0):
+            return []
+        late, last = [], 0
+        for row in range(1, len(stamp_ns)):
+            step = int(stamp_ns[row] - stamp_ns[last])
+            far = step < -self.jump_s / 2 * _NS
+            jump = far and abs(step - int(log_time_ns[row] - log_time_ns[last])) > self.jump_s * _NS
+            if step < 0 and not jump:
+                late.append(row)
+            else:
+                last = row
+        return late
+
+    def _fill(self, stamp_ns: int) -> None:
+        """Count a sample that came late, and take it from the gap that it left."""
+        self._note("out_of_order", 1)
+        if len(self._events) < _KEPT_EVENTS:
+            assert self._first is not None
+            late_s = (stamp_ns - self._last[0]) / _NS if self._last else 0.0
+            self._events.append(("out_of_order", (stamp_ns - self._first) / _NS, late_s))
+        for gap in self._gaps:
+            if gap[0] < stamp_ns < gap[1] and gap[2] > 0:
+                gap[2] -= 1
+                self._missing -= 1
+                if gap[2] == 0:
+                    assert self._first is not None
+                    self._note("gap", -1)
+                    at_s = (gap[0] - self._first) / _NS
+                    self._events = [e for e in self._events if e[:2] != ("gap", at_s)]
+                return
 
     def report(self) -> StampReport:
         """Return what was found so far."""
@@ -128,18 +169,18 @@ class StampCheck:
         far = (step < -self.jump_s / 2 * _NS) | (wide & (step > self.jump_s / 2 * _NS))
         jump = far & (np.abs(step - log_step) > self.jump_s * _NS)
         duplicate = step == 0
-        late = (step < 0) & ~jump
         gap = wide & ~jump
-        regular = ~(jump | duplicate | late | gap)
+        regular = ~(jump | duplicate | gap)
         self._advance_ns += int(step[regular].sum())
         self._steps += int(np.count_nonzero(regular))
         if np.any(regular | gap):
             self._longest_ns = max(self._longest_ns, int(step[regular | gap].max()))
-        if np.any(gap):
-            self._missing += int(np.sum(np.rint(step[gap] / self._period_ns) - 1))
-        for kind, rows in (
-            ("jump", jump), ("gap", gap), ("duplicate", duplicate), ("out_of_order", late)
-        ):  # fmt: skip
+        for row in np.flatnonzero(gap):
+            missing = int(np.rint(step[row] / self._period_ns)) - 1
+            self._missing += missing
+            self._gaps.append([int(stamp_ns[row]), int(stamp_ns[row + 1]), missing])
+        del self._gaps[:-_KEPT_GAPS]
+        for kind, rows in (("jump", jump), ("gap", gap), ("duplicate", duplicate)):
             found = np.flatnonzero(rows)
             self._note(kind, len(found))
             for row in found[: max(0, _KEPT_EVENTS - len(self._events))]:

@@ -105,6 +105,19 @@ def count(number: int, what: str) -> str:
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
+def model_sentence(model: str) -> str:
+    """Say in plain words what a calibration's model has beside load and a constant offset."""
+    if "drifting bias" in model:
+        text = "The sensor's offset drifted during the calibration, and the drift was taken out."
+    elif "gains" in model or "rotation of the sensor" in model:
+        text = "Gains or a rotation of the sensor were found, and are corrected."
+    elif "rejected" in model:
+        text = "The load and a constant offset explain the poses, but for some that were left out."
+    else:
+        text = "The load and a constant offset explain all poses."
+    return text
+
+
 def sentence(text: str, name: str = "") -> str:
     """Add a full stop at the end, and a capital at the start unless a name is there."""
     text = text.strip()

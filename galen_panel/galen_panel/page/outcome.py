@@ -145,8 +145,10 @@ class FileNotice:
         text = f"Residual of the averaged readings: {texts.size(force, torque)}."
         ui.label(text).classes("panel-number")
         if model := outcome.values.get("model"):
-            reason = outcome.values.get("model_reason", "")
-            ui.label(texts.sentence(f"Model: {model} - {reason}"))
+            ui.label(texts.model_sentence(str(model)))
+            reason = f"Model: {model} - {outcome.values.get('model_reason', '')}"
+            with ui.expansion("How it was chosen").props("dense").classes("w-full"):
+                ui.label(texts.sentence(reason)).classes("panel-lines")
         self._beside = ui.column().classes("w-full gap-2").props("data-testid=beside")
         self._fate = ui.label().classes("panel-lead").props("role=status data-testid=fate")
         with ui.row():
