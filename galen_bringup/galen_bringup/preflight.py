@@ -84,6 +84,8 @@ _REMEDIES: dict[Enum, str] = {
     Notice.TORQUE_UNIT: "torques must be in N.m",
     Notice.ANGLE_UNIT: "angles must be in rad",
 }
+# Even a few of them are no loss at the start.
+_NEVER_SOUND = (Rejection.NONFINITE_WRENCH, Rejection.NONFINITE_JOINTS)
 _NOTES = """topics of this robot: --ros-args -r wrench_raw:=/ft_sensor/wrench -r __ns:=/arm
 limits are parameters of gravcomp_node: --ros-args -p best_effort_input:=true"""
 
@@ -139,9 +141,15 @@ class Observer(Node):
             checks.append(Check("arm", FIX, str(error), _frames_like_sensors(text)))
         for topic in (_JOINTS, _WRENCH):
             checks += self._sender(topic, any(sample[0] == topic for sample in self.samples))
-        return [*checks, *(sample_checks(self.samples, arm, self.limits) if arm else ())] + (
-            self._interfaces()
-        )
+        found = sample_checks(self.samples, arm, self.limits) if arm else []
+        if arm is not None and not text and not arguments.urdf and lack_joints(found):
+            # The Galen was only taken for want of a description.
+            remedy = "start robot_state_publisher, or give --urdf FILE --sensor-frame FRAME"
+            of_galen = f"{arm.name} is taken, and joint_states are another arm's"
+            checks = [
+                Check("arm", FIX, of_galen, remedy) if one.what == "arm" else one for one in checks
+            ]
+        return [*checks, *found, *self._interfaces()]
 
     def _sender(self, topic: str, came: bool) -> list[Check]:
         """Check a topic's publishers and their quality of service."""
@@ -208,6 +216,13 @@ def _frames_like_sensors(text: str) -> str:
 
 # Samples
 
+_OTHER_ARM = "is it this arm's description, and topic?"
+
+
+def lack_joints(checks: Sequence[Check]) -> bool:
+    """Whether joint states came that lack the arm's joints."""
+    return any(check.remedy == _OTHER_ARM for check in checks)
+
 
 def sample_checks(
     samples: Sequence[tuple[str, int, bytes]], arm: Arm, limits: StreamParameters
@@ -233,7 +248,7 @@ def sample_checks(
             trouble = str(error)
     checks = []
     if not joints and trouble:
-        checks.append(Check(_JOINTS, FIX, trouble, "is it this arm's description, and topic?"))
+        checks.append(Check(_JOINTS, FIX, trouble, _OTHER_ARM))
     for topic, limit_s in ((_JOINTS, limits.max_joint_age_s), (_WRENCH, limits.restart_gap_s)):
         if times[topic]:
             checks.append(_rate_check(topic, np.array(times[topic]), limit_s))
@@ -308,9 +323,14 @@ def _pairing_checks(
             found = last.get(reason, str(reason.value).replace("_", " "))
             remedy = _REMEDIES.get(reason, "correct the driver")
             checks.append(Check("samples", FIX, f"{count} times: {found}", remedy))
+        elif reason in _NEVER_SOUND:
+            remedy = _REMEDIES[reason]
+            checks.append(Check("samples", NOTE, f"{count} times: {last[reason]}", remedy))
     used = sum(isinstance(one, PairedWrench) for one in results)
     found = f"{used} of {pairing.received} wrenches have joints at their stamp"
-    return checks or [Check("samples", OK, found)]
+    if any(check.state == FIX for check in checks):
+        return checks
+    return [*checks, Check("samples", OK, found)]
 
 
 def setup_check(arm: Arm, joints: Array, wrenches: Array) -> Check:

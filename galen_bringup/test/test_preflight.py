@@ -141,6 +141,7 @@ def test_a_few_lost_samples_are_no_fault() -> None:
     checks = checked(lambda _, w: setattr(w.wrench.force, "y", w.wrench.force.y * next(few)))
     assert by(checks, FIX) == "" and "396 of 400 wrenches" in by(checks, OK)
     assert "nan" not in by(checks, OK)
+    assert "4 times" in by(checks, NOTE) and "not finite" in by(checks, NOTE)
 
 
 def test_slow_joints_lose_wrenches_and_two_drivers_mix_their_stamps() -> None:
@@ -250,3 +251,11 @@ def test_without_a_driver_the_topics_of_its_type_are_offered() -> None:
     assert "joint_states | fix | no message came" in fix and "publish it transient local" in fix
     assert "nothing offers /zero_ft_sensor" in note
     assert "motion | ok | /arm_controller/follow_joint_trajectory" in by(checks, OK)
+
+
+def test_another_arm_without_a_description_is_not_passed_as_the_galen() -> None:
+    with Harness() as harness:
+        harness.add(lambda context: Robot(context=context))
+        (arm,) = (check for check in observed(harness) if check.what == "arm")
+    assert arm.state == FIX and "joint_states are another arm's" in arm.found
+    assert "--urdf FILE --sensor-frame FRAME" in arm.remedy
