@@ -110,7 +110,7 @@ class GravcompNode(StreamNode):
                     f"the set-up is wrong: {monitor.setup.contradiction}; setup_check:=off"
                     " publishes all the same"
                 )
-            if check == "wait" and not monitor.setup.fitting:
+            if check == "wait" and monitor.setup.checks and not monitor.setup.fitting:
                 return Rejection.NOT_VERIFIED, f"the set-up is {monitor.setup.text}"
         return super()._withheld()
 

@@ -102,6 +102,8 @@ class GravcompParameters(StreamParameters):
                 f"parameter 'setup_check' is '{self.setup_check}', but must be one of"
                 f" {', '.join(_SETUP_CHECKS)}"
             )
+        if self.setup_check == "wait" and not self.calibration_monitor:
+            raise ValueError("parameter 'setup_check' is 'wait', which needs calibration_monitor")
         if not self.motion_delay_s < self.motion_window_s:
             raise ValueError(
                 f"parameter 'motion_delay_s' is {self.motion_delay_s:g}, but must be less than"

@@ -132,6 +132,11 @@ class SetupVerification:
         self._offset = self._offset + change
 
     @property
+    def checks(self) -> bool:
+        """Whether readings are judged: a mounting's gains and rotation explain too much."""
+        return self._tool is not None and self._tool.mounting is None
+
+    @property
     def fitting(self) -> int:
         """In how many orientations readings fit."""
         return sum(one.fits for one in self._segments)
@@ -139,6 +144,8 @@ class SetupVerification:
     @property
     def text(self) -> str:
         """The state, for /diagnostics."""
+        if not self.checks:
+            return "not checked: no tool, or its file has a mounting"
         if self.contradiction:
             return f"wrong: {self.contradiction}"
         if self.verified:
@@ -152,13 +159,11 @@ class SetupVerification:
     def add(self, window: StillWindow) -> None:
         """Take a steady window at rest, of what goes out."""
         tool = self._tool
-        if tool is None or tool.mounting is not None:
+        if tool is None or not self.checks:
             return
         angles = np.array(window.angles)
         down = self._arm.gravity_in_sensor(angles)
         segment = _Segment(down / np.linalg.norm(down), angles, tool.predict(angles), window.mean)
-        if segment.fits and self.contradiction:
-            self.clear()  # it has been mended
         elsewhere = [
             one
             for one in self._segments

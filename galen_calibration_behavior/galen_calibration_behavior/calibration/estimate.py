@@ -29,7 +29,7 @@ from galen_model.files.calibration_file import (
 )
 from galen_model.files.json_fields import LONGEST_SENTENCE
 from galen_model.load.choice import choose_calibration
-from galen_model.load.identification import Identification
+from galen_model.load.identification import Identification, zeroing_fault
 from galen_model.load.mounting.identification import Calibrated, KnownLoad, worth
 from galen_model.load.mounting.mounting import Mounting
 from galen_model.setup_check.check import SetupError, require_setup
@@ -144,6 +144,7 @@ def estimate(
             found = choose_calibration(bare, measurements.tool, zero, progress, zeroed)
             warnings = [*warnings, *_turned(found.mounting)]
         else:
+            _check_zeroed(measurements)
             measured = _with_mounting(measurements, mounting)
             found = measured.identify()
             gain = worth(measured, found)
@@ -207,6 +208,21 @@ def _turned(mounting: Mounting | None) -> list[str]:
         " z, and a push's reading is turned back: wrong where a joint's zero or the base is the"
         " cause; check with a push of known direction"
     ]
+
+
+def _check_zeroed(measurements: Measurements) -> None:
+    """Raise IdentificationError where one sweep's mounting can't be told: it assumes a zeroing."""
+    if measurements.bare is not None or measurements.zeroed:
+        return
+    zero = measurements.tool.arm.gravity_in_sensor(measurements.zero_angles)
+    why = "the parameter zeroing says so"
+    if measurements.zeroed is None:
+        why = zeroing_fault(measurements.tool, zero)
+    if why:
+        raise IdentificationError(
+            f"the sensor was not zeroed with the adapter alone ({why}), which the estimate of a"
+            " mounting from one sweep assumes: record both sweeps"
+        )
 
 
 def _with_mounting(measurements: Measurements, request: MountingRequest) -> Calibrated:
