@@ -364,8 +364,9 @@ def test_random_faults_and_borders(seed: int) -> None:
         rejections |= set(compensator.pairing.rejections)
     assert as_arrays > 0.3 * samples_in and len(rejections) > 5
     if seed >= 1000:
-        # Inertial forces are asked for nowhere here, and no publishers and bits are watched.
+        # Inertial forces are asked for nowhere here, and no publishers, bits and set-ups watched.
         elsewhere = {Rejection.NO_MOTION, Rejection.SEVERAL_PUBLISHERS, Rejection.FROZEN}
+        elsewhere |= {Rejection.UNITS, Rejection.WRONG_SETUP, Rejection.NOT_VERIFIED}
         assert rejections >= set(Rejection) - elsewhere - {Rejection.RESTART}
 
 
