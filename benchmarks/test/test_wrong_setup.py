@@ -6,6 +6,9 @@ from benchmarks.wrong_setup import MISTAKES, measure
 
 WORDS = {
     "reversed reading": "the reading is reversed",
+    "sensor upside down": "turned by 180 deg about x",
+    "forces in kgf": "forces are in kgf",
+    "torques in N.mm": "in N.mm",
     "angles in degrees": "are they in degrees?",
 }
 
