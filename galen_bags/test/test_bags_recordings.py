@@ -1,14 +1,26 @@
 """Every message of the project's recordings, compared with what rosbags makes of it."""
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 from bags_samples import JOINT_STATE, TYPES, WRENCH, read, read_by_rosbags
 from galen_bags.arrays.arm_recording import read_arm
+from galen_model.arm.arm import Arm
+from galen_model.arm.description import read_arm as read_description
+from galen_model.arm.galen import GALEN
 
 RECORDINGS = Path(__file__).parents[3] / "shared" / "recordings"
 BAGS = sorted(path.parent for path in RECORDINGS.glob("*/*/*/metadata.yaml"))
+
+
+def arm_of(recording: Path) -> Arm:
+    urdf = recording / "arm.urdf"
+    if not urdf.exists():
+        return GALEN
+    frame = json.loads((recording / "tool.json").read_text())["sensor_frame"]
+    return read_description(urdf.read_text(), sensor_frame=frame)
 
 
 @pytest.mark.timeout(600)
@@ -25,7 +37,7 @@ def test_every_message_of_the_recordings(bags):
         expected = read_by_rosbags(path)
         found, problems = read(path)
         assert found == expected and problems == [], path
-        recording = read_arm(path)
+        recording = read_arm(path, arm=arm_of(path.parent))
         for topic, type_name, stamps, logs in (
             ("/joint_states", JOINT_STATE, recording.joint_stamp_ns, recording.joint_log_ns),
             ("/wrench_raw", WRENCH, recording.wrench_stamp_ns, recording.wrench_log_ns),

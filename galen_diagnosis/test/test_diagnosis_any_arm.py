@@ -209,10 +209,9 @@ def test_zeros_of_parallel_joints_are_one_ambiguous_set_that_a_tracker_separates
     answer = diagnose_recording(read_recording(made(tmp_path / "made", zero_of("elbow")))).answer
     assert answer.verdict == "ambiguous"
     parallel = {f"joint_zero_offset:{joint}" for joint in ("shoulder_lift", "elbow", "wrist_1")}
-    assert {cause.label for cause in answer.causes} == parallel
-    for cause in answer.causes:
-        assert cause.probability == pytest.approx(1.0 / 3.0, abs=0.05)
-        assert set(cause.equivalent) == parallel - {cause.label}
+    (cause,) = answer.causes
+    assert cause.probability > 0.95
+    assert {cause.label, *cause.equivalent} == parallel
     assert set(answer.next_experiment["separates"]) == parallel
     assert answer.next_experiment["kind"] == "tracker at rest"
 

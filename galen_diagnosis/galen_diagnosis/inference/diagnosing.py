@@ -315,10 +315,12 @@ def _next(explored: Explored, chances: Probabilities, verdict: Verdict) -> Exper
         return None
     found = explored.found
     left = []
-    for chance, names in _sets(explored, chances)[:3]:
-        fit = _fitted(found, names)
-        if chance >= _LISTED and fit is not None:
-            left.append(Alternative(fit.effects, chance, _full_covariance(fit)))
+    for whole, names in _sets(explored, chances)[:3]:
+        alike = (names, *explored.alike.get(names, ()))
+        chance = whole / len(alike)
+        fits = [fit for one in alike if (fit := _fitted(found, one)) is not None]
+        if chance >= _LISTED:
+            left += [Alternative(fit.effects, chance, _full_covariance(fit)) for fit in fits]
     if len(left) < 2:
         return None
     stood = _stood(explored.observation)

@@ -15,6 +15,7 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.srv import SetParameters
 from rclpy.client import Client
 from rclpy.context import Context
+from rclpy.exceptions import InvalidHandle
 from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -53,6 +54,7 @@ class Harness:
         self._jobs: list[Callable[[], None]] = []
         self._jobs_lock = threading.Lock()
         self._stop = threading.Event()
+        self._removed = False
         self._error: BaseException | None = None
 
     def __enter__(self) -> Harness:
@@ -137,6 +139,7 @@ class Harness:
         return node
 
     def _remove(self, node: Node) -> None:
+        self._removed = True
         self._nodes.remove(node)
         self._executor.remove_node(node)
         node.destroy_node()
@@ -148,7 +151,12 @@ class Harness:
                     jobs, self._jobs = self._jobs, []
                 for job in jobs:
                     job()
-                self._executor.spin_once(timeout_sec=0.01)
+                try:
+                    self._executor.spin_once(timeout_sec=0.01)
+                except InvalidHandle:
+                    # The executor calls a timer that was due before its node was removed.
+                    if not self._removed:
+                        raise
         except BaseException as error:
             self._error = error
 
