@@ -278,6 +278,7 @@ def make(recipe: Recipe, folder: Path, quiet: bool = False) -> None:
         start_ns=start_ns,
         hand=recipe.hand,
         effects=recipe.effects,
+        arm=GALEN,
     )
     (folder / recipe.name).parent.mkdir(parents=True, exist_ok=True)
     plant = Plant(config, np.random.default_rng(recipe.seed))
@@ -307,10 +308,10 @@ def differences(recipe: Recipe, made: Path, kept: Path) -> list[str]:
         found.append(str(error))
     if recipe.tool_file is not None:
         try:
-            old = read_calibration(kept / recipe.tool_file).to_json()
+            old = read_calibration(kept / recipe.tool_file, arm=GALEN).to_json()
         except CalibrationFileError as error:
             return [*found, str(error)]
-        new = read_calibration(made / recipe.tool_file).to_json()
+        new = read_calibration(made / recipe.tool_file, arm=GALEN).to_json()
         if not _same(new, old):
             found.append(f"{kept / recipe.tool_file}: made again, it holds other values")
     return found

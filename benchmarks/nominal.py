@@ -8,12 +8,13 @@ import numpy as np
 from galen_deflection.models.file import write_model
 from galen_deflection.models.interface import FittedRange
 from galen_deflection.models.spring_model import Operator, SpringBasis, SpringModel
-from galen_model.arm.galen import SENSOR
+from galen_model.arm.galen import GALEN, SENSOR
 from galen_model.files.calibration_file import (
     CalibrationFile,
     LoadEstimate,
     calibration_path,
     write_calibration,
+    zeroed_at,
 )
 from galen_model.load.model import ADAPTER, TOOLS, Load
 
@@ -37,6 +38,8 @@ def bench_tool() -> CalibrationFile:
         rmse=SENSOR.noise_std.copy(),
         poses_used=56,
         calibrated_at="2026-01-01T00:00:00+00:00",
+        arm=GALEN,
+        zeroing=zeroed_at(arm=GALEN),
     )
 
 
@@ -51,7 +54,7 @@ def bench_models() -> tuple[SpringModel, SpringModel]:
     Plays as fits to arms with friction come out.
     """
     tip_m = TOOLS[NAME].tip_m
-    springs = SpringBasis(tip_m)
+    springs = SpringBasis(tip_m, arm=GALEN)
     operators = tuple(
         Operator(place, "smooth_play", (share * load,) * len(springs.columns[place]))
         for place, load in _LARGEST.items()
@@ -59,7 +62,7 @@ def bench_models() -> tuple[SpringModel, SpringModel]:
     )
     return (
         _nominal("joint_stiffness", springs),
-        _nominal("joint_hysteresis", SpringBasis(tip_m, operators)),
+        _nominal("joint_hysteresis", SpringBasis(tip_m, operators, arm=GALEN)),
     )
 
 
@@ -85,6 +88,6 @@ def _nominal(kind: str, basis: SpringBasis) -> SpringModel:
         covariance=np.diag((0.01 * values) ** 2),
         discrepancy=np.eye(6) * 1e-12,
         noise=np.full(6, 1e-4),
-        fitted_range=FittedRange(-push, push, home - way, home + way),
+        fitted_range=FittedRange(-push, push, home - way, home + way, arm=GALEN),
         fitted_on={"samples": 1, "segments": 1, "positions": 1, "sets": 1},
     )

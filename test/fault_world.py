@@ -24,11 +24,13 @@ from fault_arm import (
 from galen_deflection.models.file import write_model
 from galen_deflection.models.interface import FittedRange
 from galen_deflection.models.spring_model import SpringBasis, SpringModel
+from galen_model.arm.galen import GALEN
 from galen_model.files.calibration_file import (
     CalibrationFile,
     LoadEstimate,
     calibration_path,
     write_calibration,
+    zeroed_at,
 )
 from galen_ros.messages import STREAM, stamp_to_ns, wrench_to_array
 from galen_ros.node.testing import Harness
@@ -53,6 +55,8 @@ def write_tool_file(folder, mass_kg=MASS_KG):
         rmse=np.zeros(6),
         poses_used=56,
         calibrated_at="2026-01-01T00:00:00+00:00",
+        arm=GALEN,
+        zeroing=zeroed_at(arm=GALEN),
     )
     path = calibration_path(folder, "retractor")
     write_calibration(path, tool)
@@ -61,7 +65,7 @@ def write_tool_file(folder, mass_kg=MASS_KG):
 
 def write_model_file(path):
     """The nominal arm's stiffness, as if fitted on anything an arm can do."""
-    basis = SpringBasis(TIP_M)
+    basis = SpringBasis(TIP_M, arm=GALEN)
     values = np.array([parameter.prior for parameter in basis.compliances])
     noise = np.array([3e-5] * 3 + [1e-4] * 3)
     model = SpringModel(
@@ -71,7 +75,9 @@ def write_model_file(path):
         np.diag((0.01 * values) ** 2),
         np.diag(noise**2) * 0.01,
         noise,
-        FittedRange(np.full(6, -500.0), np.full(6, 500.0), np.full(5, -4.0), np.full(5, 4.0)),
+        FittedRange(
+            np.full(6, -500.0), np.full(6, 500.0), np.full(5, -4.0), np.full(5, 4.0), arm=GALEN
+        ),
         {"samples": len(values), "segments": 1, "positions": 1, "sets": 1},
     )
     write_model(path, model)

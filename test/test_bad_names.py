@@ -25,6 +25,7 @@ from fuzz.readers import READERS, a_tool, check, signed
 from galen_bags.formats.bag import open_bag
 from galen_deflection.collection.recorder import CollectionFolder
 from galen_gravcomp.tool_services import error_code
+from galen_model.arm.galen import GALEN
 from galen_model.errors import CalibrationFileError, GalenError, ToolNameError
 from galen_model.files.calibration_file import calibration_path, check_tool_name, write_calibration
 from galen_model.files.calibration_store import CalibrationStore
@@ -65,7 +66,7 @@ def tree(folder: Path) -> dict[str, bytes | None]:
 
 def test_no_request_with_a_strange_name_changes_anything(tmp_path: Path) -> None:
     """As the services call it; what is beside the tools is looked at as well."""
-    store = CalibrationStore(tmp_path / "robot" / "tools")
+    store = CalibrationStore(tmp_path / "robot" / "tools", arm=GALEN)
     write_calibration(calibration_path(store.directory, "pointer"), a_tool("pointer"))
     (tmp_path / "robot" / "x.json").write_bytes((store.directory / "pointer.json").read_bytes())
     (tmp_path / "x.json").write_text("outside")
@@ -118,7 +119,7 @@ def test_a_model_s_kind_is_no_path_and_no_module(kind: str, tmp_path: Path) -> N
 
 
 def test_a_link_leads_no_service_out_of_the_directory(tmp_path: Path) -> None:
-    store = CalibrationStore(tmp_path / "tools")
+    store = CalibrationStore(tmp_path / "tools", arm=GALEN)
     write_calibration(calibration_path(store.directory, "pointer"), a_tool("pointer"))
     outside = tmp_path / "secret.json"
     outside.write_text(json.dumps(a_tool("secret").to_json()))

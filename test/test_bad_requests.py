@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 from bad_requests import ACTIONS, SERVICES, World, garbage, told, wrong, wrong_values
+from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
 from galen_ros.node.managed_node import ManagedNode
 from galen_ros.node.testing import Harness, Lifecycle
@@ -117,7 +118,9 @@ def step_with(kind: type, name: str, value: Any) -> bool:
         given = replace(kind(), **{name: value})
         driver = given if kind is DriverParameters else DriverParameters()
         effects = effects_of(given if kind is EffectParameters else EffectParameters())
-        plant = Plant(replace(driver.plant_config(), effects=effects), np.random.default_rng(0))
+        plant = Plant(
+            replace(driver.plant_config(arm=GALEN), effects=effects), np.random.default_rng(0)
+        )
     except GalenError:
         return False
     plant.attach_tool("pointer")

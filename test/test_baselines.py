@@ -27,6 +27,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from galen_model.arm.galen import GALEN
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
@@ -133,8 +134,8 @@ def compensate_live(bag, tool, seconds, tare_at_s=None, **parameters):
     from galen_model.files.calibration_file import read_calibration
 
     settings = GravcompParameters(**parameters)
-    compensator = Compensator(settings)
-    compensator.set_tool(read_calibration(tool))
+    compensator = Compensator(settings, arm=GALEN)
+    compensator.set_tool(read_calibration(tool, arm=GALEN))
     tared = []
     out = []
     first_ns = None

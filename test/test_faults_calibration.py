@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
 from fault_world import PATIENCE_S, TIP_M, FaultWorld
+from galen_model.arm.galen import GALEN
 from galen_model.files.calibration_file import read_calibration
 from galen_model.load.model import TOOLS
 from galen_ros.messages import STREAM
@@ -111,7 +112,7 @@ def test_a_cancel_at_any_moment_stops_the_arm_and_writes_nothing(world, state, s
     answer = result_of(world, handle)
     if answer.status == GoalStatus.STATUS_SUCCEEDED:
         assert state == "ESTIMATE", "it went on"  # too late: it was being written
-        assert read_calibration(file).tool == "retractor"
+        assert read_calibration(file, arm=GALEN).tool == "retractor"
         return
     assert answer.status == GoalStatus.STATUS_CANCELED
     assert answer.result.error_code == CalibrateTool.Result.CANCELED
@@ -137,7 +138,7 @@ def test_a_client_that_is_killed_and_another_at_once(world):
     )
     assert "retractor" in status.value
     world.wait_for(lambda: world.says("ready; ", "calibration"), "its end", patience_s=300.0)
-    found = read_calibration(file)
+    found = read_calibration(file, arm=GALEN)
     truth = TOOLS["retractor"].load
     assert abs(found.load.mass_kg - truth.mass_kg) < 5 * found.load.mass_std_kg
     assert json.loads(file.read_text())["tool"] == "retractor"

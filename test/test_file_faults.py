@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from fuzz.readers import a_tool
+from galen_model.arm.galen import GALEN
 from galen_model.errors import CalibrationFileError
 from galen_model.files import atomic_file as atomic_file
 from galen_model.files.calibration_file import calibration_path, read_calibration, write_calibration
@@ -96,7 +97,7 @@ def check_kills(counts: dict, kills: int) -> None:
 
 def test_thirty_kills_leave_the_old_file_or_the_new_one(tmp_path: Path) -> None:
     check_kills(killed(tmp_path, 30, seed=1), 30)
-    assert CalibrationStore(tmp_path).names() == [
+    assert CalibrationStore(tmp_path, arm=GALEN).names() == [
         "pointer"
     ]  # what is left of a killed writer is hidden
 
@@ -172,9 +173,12 @@ def test_an_error_of_the_disk_leaves_the_old_file_and_nothing_else(
     assert str(path) in str(error.value) and os.strerror(number) in str(error.value)
     assert names(tmp_path) == sorted(before)
     assert path.read_bytes() == before["pointer.json"]
-    assert read_calibration(path.with_name("pointer.json.bak")).load.mass_kg in (0.05, 0.06)
+    assert read_calibration(path.with_name("pointer.json.bak"), arm=GALEN).load.mass_kg in (
+        0.05,
+        0.06,
+    )
     write_calibration(path, a_tool("pointer", 0.07))
-    assert read_calibration(path).load.mass_kg == 0.07
+    assert read_calibration(path, arm=GALEN).load.mass_kg == 0.07
 
 
 def _half_written(number: int):
@@ -224,12 +228,12 @@ def test_a_file_that_may_not_grow_stays_the_old_one(tmp_path: Path) -> None:
 def test_a_pipe_in_the_file_s_place_is_rejected_and_not_waited_for(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pointer.json")
     with pytest.raises(CalibrationFileError, match="no regular file"):
-        read_calibration(tmp_path / "pointer.json")
+        read_calibration(tmp_path / "pointer.json", arm=GALEN)
     (tmp_path / "folder.json").mkdir()
     with pytest.raises(CalibrationFileError, match="no regular file"):
-        read_calibration(tmp_path / "folder.json")
+        read_calibration(tmp_path / "folder.json", arm=GALEN)
     with pytest.raises(CalibrationFileError, match="no regular file"):
-        read_calibration("/dev/zero")
+        read_calibration("/dev/zero", arm=GALEN)
 
 
 # --- links ----------------------------------------------------------------------------------------
@@ -245,11 +249,11 @@ def test_a_link_in_the_file_s_place_is_replaced_and_leads_no_write_out(tmp_path:
     path = calibration_path(tools, "pointer")
     path.symlink_to(elsewhere / "mine.json")
     write_calibration(path, a_tool("pointer", 0.07))
-    assert not path.is_symlink() and read_calibration(path).load.mass_kg == 0.07
+    assert not path.is_symlink() and read_calibration(path, arm=GALEN).load.mass_kg == 0.07
     assert names(elsewhere) == ["mine.json"]
     assert (elsewhere / "mine.json").read_bytes() == before
     backup = path.with_name("pointer.json.bak")
     assert backup.resolve() == elsewhere / "mine.json"
     write_calibration(path, a_tool("pointer", 0.08))  # and the backup is replaced, not followed
-    assert read_calibration(backup).load.mass_kg == 0.07 and not backup.is_symlink()
+    assert read_calibration(backup, arm=GALEN).load.mass_kg == 0.07 and not backup.is_symlink()
     assert (elsewhere / "mine.json").read_bytes() == before

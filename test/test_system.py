@@ -15,6 +15,7 @@ from galen_bringup.processes import (
     ros_world,
     start_suite,
 )
+from galen_model.arm.galen import GALEN
 from galen_model.files.calibration_file import read_calibration
 from galen_model.load.model import ADAPTER, TOOLS
 from rich.console import Console
@@ -33,7 +34,7 @@ def test_a_tool_is_calibrated_through_the_action_and_its_weight_compensated(tmp_
             poses = random_poses(12, np.random.default_rng(1))
             readings = visit(arm, poses, AVERAGE_S, progress, "poses")
 
-    file = read_calibration(tmp_path / "tools" / "retractor.json")
+    file = read_calibration(tmp_path / "tools" / "retractor.json", arm=GALEN)
     assert result["file"] == str(tmp_path / "tools" / "retractor.json")
     assert result["mass_kg"] == answer.mass_kg == file.load.mass_kg
     assert file.poses_used + len(file.poses_rejected) >= 15

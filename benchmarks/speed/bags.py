@@ -124,12 +124,12 @@ def rosbags_deserialise(bag: Path, _tool: Path) -> int:
 def read_arrays(bag: Path, _tool: Path) -> int:
     """Read every message into arrays."""
     with open_bag(bag) as opened:
-        return sum(len(block.is_wrench) for block in ArmReader(opened).blocks())
+        return sum(len(block.is_wrench) for block in ArmReader(opened, arm=GALEN).blocks())
 
 
 def evaluate(bag: Path, tool: Path) -> int:
     """Evaluate the bag."""
-    result = evaluate_bag(bag, read_calibration(tool))
+    result = evaluate_bag(bag, read_calibration(tool, GALEN))
     assert result.compensated == result.wrench_stamps.count, result.rejected
     return result.joint_stamps.count + result.wrench_stamps.count
 

@@ -73,7 +73,7 @@ def peer_wrench(rotation: Array, mass_kg: float, com_m: Array, reading: Array) -
 def one_sample(rounds: int) -> list[Compared]:
     """Compare one sample at a time."""
     tool = bench_tool()
-    kernel, arm = Prediction(tool), PinocchioArm()
+    kernel, arm = Prediction(tool, arm=GALEN), PinocchioArm()
     reading, joints = np.ones(6), np.array([0.0, 0.0, 0.408, 0.3, -0.2])
     mass, com = tool.load.mass_kg, tool.load.com_m
     turned, _ = arm.pose(joints)
@@ -101,7 +101,7 @@ def one_sample(rounds: int) -> list[Compared]:
 def arrays(rounds: int, samples: int = _SAMPLES) -> list[Compared]:
     """Compare a million samples at once."""
     tool = bench_tool()
-    kernel = Prediction(tool)
+    kernel = Prediction(tool, arm=GALEN)
     random = np.random.default_rng(1)
     angles = random.uniform(-1.5, 1.5, (samples, 2))
     readings = random.normal(size=(samples, 6))
@@ -210,7 +210,7 @@ def _sweeps(poses: int) -> tuple[StillPoses, StillPoses]:
         angles = random.uniform((-1.4, -0.9), (1.4, 0.8), (poses, 2))
         whole = tool.predict(angles) * (1.0 + load)
         noise = SENSOR.noise_std / 10.0 * random.normal(size=(poses, 6))
-        out.append(StillPoses(angles, whole + noise))
+        out.append(StillPoses(angles, whole + noise, arm=GALEN))
     return out[0], out[1]
 
 

@@ -17,6 +17,7 @@ from pathlib import Path
 from galen_diagnosis.inference.diagnosing import diagnose_recording
 from galen_diagnosis.observation.recording import read_recording
 from galen_diagnosis.simulated_recording import make_recording
+from galen_model.arm.galen import GALEN
 from galen_sim_driver.effects.sensor import AxisGain
 from rich.table import Table
 
@@ -43,7 +44,7 @@ def measure(options: argparse.Namespace, progress: Callable[[str], None]) -> lis
     with tempfile.TemporaryDirectory(prefix="galen_bench_") as directory:
         recording = Path(directory, "recording")
         progress("simulating a recording")
-        make_recording(recording, [_EFFECT], seed=1)
+        make_recording(recording, [_EFFECT], seed=1, arm=GALEN)
         bags = [metadata.parent for metadata in sorted(recording.glob("*/metadata.yaml"))]
         for number in range(options.rounds):
             progress(f"diagnosis {number + 1} of {options.rounds}")

@@ -2,6 +2,7 @@
 
 import numpy as np
 from galen_deflection.models.file import read_model
+from galen_model.arm.galen import GALEN
 
 from benchmarks.nominal import write_bench_models
 from benchmarks.speed.computing import six_joints
@@ -11,7 +12,7 @@ def test_its_models_read_and_work_and_one_remembers(tmp_path):
     joints, push = np.array([0.0, 0.0, 0.408, 0.1, 0.2]), np.array([0.0, 8.0, 2.0, 0.1, 0.1, 0.0])
     left = {}
     for path in write_bench_models(tmp_path):
-        stream = read_model(path).stream()
+        stream = read_model(path, arm=GALEN).stream()
         bent = stream.step(0, joints, push)
         assert np.linalg.norm(bent.mean[:3]) > 1e-4 and not bent.extrapolated
         left[path.stem] = np.linalg.norm(stream.step(2_000_000, joints, np.zeros(6)).mean)

@@ -48,10 +48,12 @@ def run(mode: str) -> tuple[Array, Array]:
         Joints (n, 5), m and rad, and the wrench (n, 6) that admittance follows, N and N.m.
 
     """
-    plant = Plant(PlantConfig(rate_hz=RATE_HZ), np.random.default_rng(0))
+    plant = Plant(PlantConfig(rate_hz=RATE_HZ, arm=GALEN), np.random.default_rng(0))
     plant.attach_tool(TOOL)
-    compensator = Compensator()
-    compensator.set_tool(read_calibration(HERE.parents[1] / "bags" / "tools" / f"{TOOL}.json"))
+    compensator = Compensator(arm=GALEN)
+    compensator.set_tool(
+        read_calibration(HERE.parents[1] / "bags" / "tools" / f"{TOOL}.json", arm=GALEN)
+    )
     if mode == "raw":
         zeroing = plant.start_zeroing(0.5)
         while not zeroing.done:

@@ -108,7 +108,7 @@ class Measured:
     wrench: Array
     gravity_stamp_ns: np.ndarray
     gravity: Array
-    arm: Arm = GALEN
+    arm: Arm
     angles: Array | None = None
 
 
@@ -122,9 +122,9 @@ def read_measured(arguments: argparse.Namespace) -> Measured:
     if not arguments.table:
         wrench_time, wrench = read_wrenches(arguments.wrench)
         gravity_time, gravity = read_orientations(arguments.orientations, arm=arm)
-        return _stamped(file, [wrench_time, gravity_time], unit, wrench, gravity)
+        return _stamped(file, [wrench_time, gravity_time], unit, wrench, gravity, arm)
     columns = arguments.columns.split(",") if arguments.columns else None
-    table = read_table(file, columns, arguments.wrench_frame, arm)
+    table = read_table(file, columns, arguments.wrench_frame, arm=arm)
     time = table.time
     if time is None and arguments.rate_hz is None:
         raise GalenError(f"{file}: no column 't'; give the readings' --rate-hz")
@@ -134,10 +134,10 @@ def read_measured(arguments: argparse.Namespace) -> Measured:
         _check_setup(file, table)
     if time is None:
         time, unit = np.arange(len(table)) / arguments.rate_hz, "s"
-    measured = _stamped(file, [time, time], unit, table.wrench, table.gravity)
+    measured = _stamped(file, [time, time], unit, table.wrench, table.gravity, arm)
     if table.angles is None or arm.joint_names == GALEN.joint_names:
         return measured
-    return replace(measured, arm=arm, angles=table.angles)
+    return replace(measured, angles=table.angles)
 
 
 def _check_setup(file: str, table: OrientationTable) -> None:
@@ -149,13 +149,13 @@ def _check_setup(file: str, table: OrientationTable) -> None:
 
 
 def _stamped(
-    file: str, times: Sequence[Array], unit: str, wrench: Array, gravity: Array
+    file: str, times: Sequence[Array], unit: str, wrench: Array, gravity: Array, arm: Arm
 ) -> Measured:
     try:
         wrench_ns, gravity_ns = stamps_ns(times, unit)
     except ValueError as error:
         raise GalenError(f"{file}: {error}") from error
-    return Measured(wrench_ns, wrench, gravity_ns, gravity)
+    return Measured(wrench_ns, wrench, gravity_ns, gravity, arm)
 
 
 def stamps_ns(times: Sequence[Array], unit: str = "s") -> list[np.ndarray]:

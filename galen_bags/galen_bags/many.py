@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import CalibrationFile, read_calibration
 from tqdm import tqdm
@@ -303,7 +302,7 @@ def _work_elsewhere(
 # Inputs
 
 
-def calibration_of_bag(bag: Path, tool: Path, *, beside: bool, arm: Arm = GALEN) -> CalibrationFile:
+def calibration_of_bag(bag: Path, tool: Path, *, beside: bool, arm: Arm) -> CalibrationFile:
     """Read the calibration file that a bag was recorded with.
 
     Args:

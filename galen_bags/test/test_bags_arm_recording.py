@@ -87,7 +87,7 @@ def test_topic_that_is_not_found(bag_of, there, name, words):
 
 def test_arrays_are_those_of_rosbags(tmp_path):
     samples = arm_samples(500)
-    recording = read_arm(write_rosbag2(tmp_path / "bag", samples))
+    recording = read_arm(write_rosbag2(tmp_path / "bag", samples), arm=GALEN)
     joints = [s for s in samples if s.topic == "/joint_states"]
     wrenches = [s for s in samples if s.topic == "/wrench_raw"]
     states = [TYPES.deserialize_cdr(s.data, JOINT_STATE) for s in joints]
@@ -121,7 +121,7 @@ def test_order_in_which_samples_were_received(tmp_path):
     path = tmp_path / "bag.mcap"
     path.write_bytes(mcap_of(samples, "zstd", chunk_of=13))
     with open_bag(path) as bag:
-        reader = ArmReader(bag)
+        reader = ArmReader(bag, arm=GALEN)
         blocks = list(reader.blocks())
     assert reader.message_count == 400
     assert len(blocks) > 5
@@ -140,14 +140,14 @@ def test_other_names_and_a_namespace(tmp_path):
     parts = schema(1, JOINT_STATE) + schema(2, WRENCH)
     parts += channel(1, 1, "/arm/state") + channel(2, 2, "/arm/ft")
     path.write_bytes(mcap(parts, *[message(k, *s[1:]) for k, s in enumerate(samples, 1)]))
-    recording = read_arm(path, ArmTopics("state", "arm/ft", tuple(names)))
+    recording = read_arm(path, ArmTopics("state", "arm/ft", tuple(names)), arm=GALEN)
     assert recording.joints.tolist() == [[4, 3, 2, 1, 0]]
     assert np.isnan(recording.joint_velocities).all()
     assert recording.frame_ids == ("tool0",)
     with pytest.raises(BagError, match="lacks roll, tilt; it has b, a, z, y, x"):
-        read_arm(path, ArmTopics("state", "arm/ft"))
+        read_arm(path, ArmTopics("state", "arm/ft"), arm=GALEN)
     with pytest.raises(BagError, match="2 joint names; the arm has 5 joints"):
-        read_arm(path, ArmTopics("state", "arm/ft", ("a", "b")))
+        read_arm(path, ArmTopics("state", "arm/ft", ("a", "b")), arm=GALEN)
 
 
 def test_messages_that_can_not_be_used_are_left_out_and_counted(tmp_path):
@@ -158,7 +158,7 @@ def test_messages_that_can_not_be_used_are_left_out_and_counted(tmp_path):
                   cdr(joint_state(header(T0), GALEN.joint_names[:4], range(4)))),
     }  # fmt: skip
     mixed = [bad.get(k, sample) for k, sample in enumerate(samples)]
-    recording = read_arm(write_rosbag2(tmp_path / "bag", mixed))
+    recording = read_arm(write_rosbag2(tmp_path / "bag", mixed), arm=GALEN)
     assert len(recording.joints) == len(recording.joint_log_ns) == 9
     assert len(recording.wrenches) == len(recording.wrench_stamp_ns) == 9
     assert np.isfinite(recording.joints).all() and np.isfinite(recording.wrenches).all()
@@ -174,11 +174,11 @@ def test_topic_without_a_usable_message(tmp_path):
     wrenches = [sample for sample in arm_samples(3) if sample.topic == "/wrench_raw"]
     path = write_rosbag2(tmp_path / "bag", wrenches, silent=["/joint_states"])
     with pytest.raises(BagError, match="bag: /joint_states has no message"):
-        read_arm(path)
+        read_arm(path, arm=GALEN)
     broken = [Sample("/joint_states", T0, b"\0\1\0\0"), *wrenches]
     path = write_rosbag2(tmp_path / "broken", broken)
     with pytest.raises(BagError, match="/joint_states has no usable message: 4 bytes came that"):
-        read_arm(path)
+        read_arm(path, arm=GALEN)
 
 
 def test_another_arm_has_other_joints(tmp_path):
@@ -188,9 +188,9 @@ def test_another_arm_has_other_joints(tmp_path):
         Sample("/wrench_raw", T0 + 1, cdr(wrench(header(T0, "ft_sensor"), range(6)))),
     ]
     path = write_rosbag2(tmp_path / "bag", samples)
-    recording = read_arm(path, ArmTopics(joint_names=arm.joint_names), arm)
+    recording = read_arm(path, ArmTopics(joint_names=arm.joint_names), arm=arm)
     nan = np.nan  # a sliding joint may lack, a turning one not
     assert np.array_equal(recording.joints, [[nan, 2]], equal_nan=True)
     assert np.array_equal(recording.joint_velocities, [[nan, 4]], equal_nan=True)
     with pytest.raises(BagError, match="2 joint names; the arm has 5 joints"):
-        read_arm(path, ArmTopics(joint_names=arm.joint_names))
+        read_arm(path, ArmTopics(joint_names=arm.joint_names), arm=GALEN)

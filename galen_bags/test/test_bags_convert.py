@@ -48,7 +48,7 @@ QUATERNION = ["qx", "qy", "qz", "qw"]
 
 def residual(bag):
     """The recording's wrenches less what the load reads at its roll and tilt."""
-    recording = read_arm(bag)
+    recording = read_arm(bag, arm=GALEN)
     gravity = GALEN.gravity_in_sensor(recording.joints[:, 3:])
     return recording.wrenches - gravity_wrench(gravity, LOAD) - OFFSET
 
@@ -66,7 +66,7 @@ def test_a_known_load_is_compensated_to_zero(tmp_path, frame, capsys):
     assert main([table, "-o", str(bag), "--wrench-frame", frame]) == 0
     assert "wrench_raw: 50 messages over 0.490 s, 100.0 Hz" in capsys.readouterr().out
     assert np.abs(residual(bag)).max() < 1e-9
-    recording = read_arm(bag)
+    recording = read_arm(bag, arm=GALEN)
     assert recording.frame_ids == ("ft_sensor",)
     assert recording.joints[:, :3] == pytest.approx(np.tile(GALEN.home[:3], (50, 1)))
     expected_ns = 100_000_000_000 + 10_000_000 * np.arange(50)
@@ -91,7 +91,7 @@ def test_two_tables_keep_their_own_rates_and_stamps(tmp_path):
     bag = tmp_path / "bag"
     files = ["--wrench", wrenches, "--orientations", orientations]
     assert main([*files, "--time-unit", "us", "-o", str(bag)]) == 0
-    recording = read_arm(bag)
+    recording = read_arm(bag, arm=GALEN)
     assert recording.wrench_stamp_ns.tolist() == (1000 * wrench_us).tolist()
     assert recording.joint_stamp_ns.tolist() == (1000 * orientation_us).tolist()
     gravity = GALEN.gravity_in_sensor(recording.joints[:, 3:])
@@ -105,7 +105,7 @@ def test_stamps_that_step_back_stay_as_they_are(tmp_path, capsys):
     )
     assert main([table, "-o", str(tmp_path / "bag")]) == 0
     assert "wrench_raw: 2 stamps are not after the one before them" in capsys.readouterr().out
-    recording = read_arm(tmp_path / "bag")
+    recording = read_arm(tmp_path / "bag", arm=GALEN)
     assert (recording.wrench_stamp_ns / 1e9).tolist() == time
     assert (recording.wrench_log_ns / 1e9).tolist() == [1.0, 1.1, 1.1, 1.1, 1.2]
     assert np.argmax(recording.wrenches, axis=1).tolist() == [0, 1, 2, 3, 4]
@@ -141,7 +141,7 @@ def test_gravity_is_the_options_and_a_wrong_one_is_named(tmp_path, capsys):
     assert "--gravity 9.80665 0 0" in capsys.readouterr().err
     assert not bag.exists()
     assert main([*command, "--gravity", "9.80665", "0", "0"]) == 0
-    recording = read_arm(bag)
+    recording = read_arm(bag, arm=GALEN)
     turned = GALEN.gravity_in_sensor(GALEN.angles(recording.joints))
     np.testing.assert_allclose(turned, down, atol=1e-6)
     assert np.all(np.abs(recording.joints) < 3.2)
@@ -204,7 +204,7 @@ def test_the_axia80_over_time(tmp_path):
     table = SHARED / "axia80" / "GP2025-07-22-22-06-02.txt"
     names = "t,fx,fy,fz,tx,ty,tz,qx,qy,qz,qw"
     assert main([str(table), "--columns", names, "-o", str(tmp_path / "bag")]) == 0
-    recording = read_arm(tmp_path / "bag")
+    recording = read_arm(tmp_path / "bag", arm=GALEN)
     values = np.loadtxt(table, delimiter=",")
     assert recording.wrenches == pytest.approx(values[:, 1:7], abs=0)
     assert recording.wrench_stamp_ns * 1e-9 == pytest.approx(values[:, 0], abs=1e-9)

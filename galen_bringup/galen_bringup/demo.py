@@ -120,7 +120,7 @@ def run_demo(options: argparse.Namespace, console: Console) -> dict[str, Any]:
 
 def _tool_result(tool: str, calibration: dict[str, Any], readings: PoseReadings) -> dict[str, Any]:
     # The noise that the averages had is known, because the arm is simulated.
-    truth = nominal_reading(GALEN.angles(readings.joints), TOOLS[tool].load, ADAPTER)
+    truth = nominal_reading(GALEN.angles(readings.joints), TOOLS[tool].load, ADAPTER, arm=GALEN)
     noise = readings.noise_at(truth)
     # Of one sample: mean square of averages and of scatter together.
     sample_rmse = np.sqrt(readings.rmse**2 + np.mean(readings.sample_std**2, axis=0))

@@ -23,6 +23,7 @@ from rich.progress import Progress
 from galen_bringup.arm_client import MAX_ACCELERATION, MAX_VELOCITY, ArmClient
 
 _ARRIVAL = ArrivalSettings(
+    arm=GALEN,
     position_tolerance=np.array([5e-4] * 3 + [3e-3] * 2),
     velocity_tolerance=np.array([5e-4] * 3 + [2e-3] * 2),
     velocity_window_s=0.06,

@@ -11,6 +11,7 @@ from galen_calibration_behavior.calibration.procedure import CalibrationRequest
 from galen_calibration_behavior.from_bag.sweeps import SweepSorter
 from galen_calibration_behavior.from_bag.visits import find_visits
 from galen_calibration_behavior.parameters import CalibrationParameters
+from galen_model.arm.galen import GALEN
 from galen_sim_driver.plant.cell import Plant
 from galen_sim_driver.plant.config import HandPush, PlantConfig
 from offline_cell import CellBag, OfflineCell
@@ -46,7 +47,7 @@ class Toucher:
 def calibrate_and_record(folder, grid, *, rate_hz=100.0, seed=1, start=None, touch=None):
     """Return the live calibration's measurements and its recording."""
     push = HandPush(start_s=0.05, duration_s=0.5, force_n=(0.0, 0.4, 0.0), ramp_s=0.05)
-    config = PlantConfig(rate_hz=rate_hz, start_ns=START_NS, hand=(push,))
+    config = PlantConfig(rate_hz=rate_hz, start_ns=START_NS, hand=(push,), arm=GALEN)
     if start is not None:
         config = dataclasses.replace(config, start_joints=start)
     plant = Plant(config, np.random.default_rng(seed))
@@ -59,7 +60,7 @@ def calibrate_and_record(folder, grid, *, rate_hz=100.0, seed=1, start=None, tou
         cell.run(2.0)
         poses = dataclasses.replace(PARAMETERS, **grid).grid_poses(grid["itersT"], grid["itersR"])
         live = cell.calibrate(PARAMETERS, CalibrationRequest("retractor", False, True, poses))
-    return live, read_arm(folder / "bag")
+    return live, read_arm(folder / "bag", arm=GALEN)
 
 
 def offline(recording):

@@ -9,6 +9,7 @@ from galen_bags.formats.writer import BagWriter
 from galen_calibration_behavior.calibration.procedure import CalibrationRequest
 from galen_calibration_behavior.commands import CalibrationState
 from galen_calibration_behavior.parameters import CalibrationParameters
+from galen_model.arm.galen import GALEN
 from galen_model.load.identification import identify_two_sweeps
 from galen_model.load.model import ADAPTER, TOOLS, Load, nominal_reading
 from galen_sim_driver.plant.cell import Plant
@@ -40,7 +41,7 @@ def test_a_calibration_finds_the_plants_loads_and_tells_its_states():
     offline = cell()
     found, states = calibrate(offline)
     for still, tool in ((found.bare, Load(0.0)), (found.tool, TOOLS["pointer"].load)):
-        expected = nominal_reading(still.angles, tool, ADAPTER)
+        expected = nominal_reading(still.angles, tool, ADAPTER, arm=GALEN)
         assert still.wrench == pytest.approx(expected, abs=0.03)
     load = identify_two_sweeps(found.bare, found.tool, found.zero_angles).load
     assert load.mass_kg == pytest.approx(0.060, abs=5 * load.mass_std_kg)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from galen_bags.arrays.arm_recording import read_arm
 from galen_calibration_behavior.calibrate_from_bag import main as calibrate_from_bag
-from galen_model.arm.galen import SENSOR
+from galen_model.arm.galen import GALEN, SENSOR
 from galen_model.files.calibration_file import read_calibration
 from galen_model.load.inertia import point_mass_inertia
 from galen_model.load.model import ADAPTER, TOOLS
@@ -43,7 +43,7 @@ def test_they_stay_small():
 
 @pytest.mark.parametrize("name", sorted(TOOLS))
 def test_the_tools_files_hold_the_true_loads(name):
-    tool = read_calibration(BAGS / "tools" / f"{name}.json")
+    tool = read_calibration(BAGS / "tools" / f"{name}.json", arm=GALEN)
     for found, true in ((tool.load, TOOLS[name].load), (tool.adapter, ADAPTER)):
         off = np.array([found.mass_kg - true.mass_kg, *(found.com_m - true.com_m)])
         sigmas = np.sqrt(off @ np.linalg.solve(found.covariance, off))
@@ -60,7 +60,10 @@ def test_the_recording_gives_the_file_that_the_calibration_itself_gave(name, tmp
     bag = str(BAGS / f"{name}_calibration")
     calibrate_from_bag([name, bag, "--tools-dir", str(tmp_path), "--json"])
     file = f"{name}.json"
-    live, recorded = read_calibration(BAGS / "tools" / file), read_calibration(tmp_path / file)
+    live, recorded = (
+        read_calibration(BAGS / "tools" / file, arm=GALEN),
+        read_calibration(tmp_path / file, arm=GALEN),
+    )
     # the same samples in the same averages, so the same numbers
     for found, expected in ((recorded.load, live.load), (recorded.adapter, live.adapter)):
         assert found.mass_kg == pytest.approx(expected.mass_kg, rel=1e-9)
@@ -69,8 +72,8 @@ def test_the_recording_gives_the_file_that_the_calibration_itself_gave(name, tmp
 
 
 def test_nobody_touches_the_tool_in_free_motion():
-    recording = read_arm(BAGS / "free_motion")
-    tool = read_calibration(BAGS / "tools" / "retractor.json")
+    recording = read_arm(BAGS / "free_motion", arm=GALEN)
+    tool = read_calibration(BAGS / "tools" / "retractor.json", arm=GALEN)
     left = recording.wrenches - tool.predict(recording.joints[:, 3:])
     assert np.sqrt(np.mean(left**2, axis=0)) == pytest.approx(SENSOR.noise_std, rel=0.05)
     moving = np.abs(recording.joint_velocities).max(axis=1) > 0.01
@@ -104,8 +107,8 @@ def test_the_cable_is_found_in_its_sweep(capsys):
 
 
 def test_pushes_are_pushes_with_untouched_stretches_between():
-    recording = read_arm(BAGS / "pushes")
-    tool = read_calibration(BAGS / "tools" / "retractor.json")
+    recording = read_arm(BAGS / "pushes", arm=GALEN)
+    tool = read_calibration(BAGS / "tools" / "retractor.json", arm=GALEN)
     left = recording.wrenches - tool.predict(recording.joints[:, 3:])
     force = np.linalg.norm(left[:, :3], axis=1)
     assert force.max() == pytest.approx(10.0, abs=0.2)

@@ -62,7 +62,7 @@ def propose_poses(options: argparse.Namespace) -> dict[str, Any]:
         except ObstacleError as error:
             grid_fault = str(error)
         on_grid = replace(parameters, poses="grid")
-        grid = order_poses(grid, on_grid.times())
+        grid = order_poses(grid, on_grid.times(), arm=parameters.arm)
         promises["grid"] = _promise(grid, on_grid)
     promises["chosen"] = _promise(poses, parameters)
     if not options.json:

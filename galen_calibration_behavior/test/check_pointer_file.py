@@ -2,7 +2,8 @@
 
 import numpy as np
 from calibration_fake_arm import ADAPTER, POINTER
-from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
+from galen_model.arm.galen import GALEN
+from galen_model.files.calibration_file import CalibrationFile, LoadEstimate, zeroed_at
 
 _STD = np.diag(np.full(4, 3e-5) ** 2)
 POINTER_FILE = CalibrationFile(
@@ -13,4 +14,6 @@ POINTER_FILE = CalibrationFile(
     rmse=np.array([3e-3, 3e-3, 4e-3, 6e-5, 6e-5, 6e-5]),
     poses_used=56,
     calibrated_at="2026-01-01T00:00:00+00:00",
+    arm=GALEN,
+    zeroing=zeroed_at(arm=GALEN),
 )

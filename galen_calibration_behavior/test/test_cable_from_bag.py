@@ -14,6 +14,7 @@ from galen_model.files.calibration_file import (
     LoadEstimate,
     read_calibration,
     write_calibration,
+    zeroed_at,
 )
 from galen_model.load.model import ADAPTER, TOOLS, Load, gravity_wrench
 
@@ -36,7 +37,15 @@ def place(tmp_path, monkeypatch):
     load = LoadEstimate(RETRACTOR.mass_kg, RETRACTOR.com_m, 1e-10 * np.eye(4))
     bias = LoadEstimate(ADAPTER.mass_kg, ADAPTER.com_m, 1e-10 * np.eye(4))
     tool = CalibrationFile(
-        "retractor", load, bias, AT, np.zeros(6), 56, "2023-11-01T03:04:05+00:00"
+        "retractor",
+        load,
+        bias,
+        AT,
+        np.zeros(6),
+        56,
+        "2023-11-01T03:04:05+00:00",
+        arm=GALEN,
+        zeroing=zeroed_at(arm=GALEN),
     )
     write_calibration(tmp_path / "retractor.json", tool)
     tapes = {}
@@ -73,7 +82,7 @@ def test_it_learns_the_pull_and_keeps_the_rest_of_the_file(place, capsys, one_fo
     before = json.loads((folder / "retractor.json").read_text())
     run("retractor", "corded", "--tools-dir", folder, "--json")
     fields = json.loads(capsys.readouterr().out)
-    tool = read_calibration(folder / "retractor.json")
+    tool = read_calibration(folder / "retractor.json", arm=GALEN)
     after = json.loads((folder / "retractor.json").read_text())
     assert {key: after[key] for key in before} == before
     rng = np.random.default_rng(2)

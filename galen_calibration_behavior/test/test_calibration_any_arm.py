@@ -87,7 +87,7 @@ def test_the_grid_is_the_galens():
 
 @pytest.mark.parametrize(("tool", "answer"), [(POINTER, "GOOD"), (NO_TOOL, "RECALIBRATE")])
 def test_it_is_checked_around_where_it_stands(tool, answer):
-    file = dataclasses.replace(POINTER_FILE, arm=ARM, zeroing=zeroed_at(HERE, ARM))
+    file = dataclasses.replace(POINTER_FILE, arm=ARM, zeroing=zeroed_at(HERE, arm=ARM))
     course = Course(FAST, 6, tool, HERE, file, FakeArm(1, HERE, ARM))
     end = course.run()
     assert (end.error_code, end.check.answer) == (CheckCode.NONE, CheckAnswer[answer]), end

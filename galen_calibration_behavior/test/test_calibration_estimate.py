@@ -17,6 +17,7 @@ from galen_calibration_behavior.calibration.estimate import (
     mounting_fields,
 )
 from galen_calibration_behavior.commands import CalibrationCode, Measurements
+from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import read_calibration, write_calibration
 from galen_model.load.identification import StillPoses, identify_two_sweeps
@@ -33,9 +34,9 @@ POSES = np.array([[r, t] for r in np.linspace(-1.5, 1.5, 5) for t in np.linspace
 def still(tool, poses=POSES, seed=2, noise=2e-3):
     random = np.random.default_rng(seed)
     std = noise * np.array([1, 1, 1, 0.02, 0.02, 0.02])
-    exact = nominal_reading(poses, tool, ADAPTER)
+    exact = nominal_reading(poses, tool, ADAPTER, arm=GALEN)
     wrench = exact + std * random.standard_normal(exact.shape)
-    return StillPoses(poses, wrench, np.broadcast_to(std, exact.shape))
+    return StillPoses(poses, wrench, np.broadcast_to(std, exact.shape), arm=GALEN)
 
 
 def at(start_s, sweep, drift=0.0):
@@ -65,7 +66,7 @@ def test_two_sweeps_recover_the_load_and_write_it(tmp_path):
     path = tmp_path / "pointer.json"
     both = at(0, still(NO_TOOL, seed=1)), at(60, still(POINTER))
     done = calibrate(path, "pointer", TIP, measurements(*both), [])
-    read = read_calibration(path)
+    read = read_calibration(path, arm=GALEN)
     assert read.model == "constant bias"
     plain = identify_two_sweeps(*both, np.zeros(2)).load
     assert read.load.mass_kg == pytest.approx(plain.mass_kg, abs=0.2 * plain.mass_std_kg)
@@ -83,7 +84,7 @@ def test_a_bias_that_drifts_is_chosen_and_told_in_the_file(tmp_path):
     done = calibrate(path, "pointer", TIP, measurements(*both), [])
     off = done.content.load.mass_kg - POINTER.mass_kg
     assert abs(off) < 3 * done.content.load.mass_std_kg
-    file = read_calibration(path)
+    file = read_calibration(path, arm=GALEN)
     assert "drift" in file.model
     assert "block" in file.model_reason
     result = SimpleNamespace(**calibration_fields(done), tool="", file="")
@@ -104,7 +105,7 @@ def test_a_rotation_that_is_chosen_unasked_is_warned_of(tmp_path, monkeypatch):
         "galen_calibration_behavior.calibration.estimate.choose_calibration", choose
     )
     done = calibrate(tmp_path / "pointer.json", "pointer", TIP, measurements(*sweeps), [])
-    mounting = read_calibration(done.path).mounting
+    mounting = read_calibration(done.path, arm=GALEN).mounting
     assert mounting.sensor_rotvec_rad == pytest.approx([0.02] * 3, abs=2e-3)
     assert any("by (1.1" in text and "push" in text for text in done.warnings)
     assert mounting_fields(done) == mounting.to_json()
@@ -118,7 +119,7 @@ def test_parts_of_the_old_file_that_go_are_named(tmp_path):
         "old file" in said for said in calibrate(path, "pointer", TIP, sweeps, []).warnings
     )
     inertia = InertiaEstimate(np.array([1e-3, 2e-3, 2e-3, 0, 0, 0]), np.eye(6) * 1e-12)
-    write_calibration(path, replace(read_calibration(path), inertia=inertia))
+    write_calibration(path, replace(read_calibration(path, arm=GALEN), inertia=inertia))
     (said,) = (s for s in estimate(path, "pointer", TIP, sweeps, []).warnings if "old file" in s)
     assert "inertia (--estimate inertia)" in said
     assert "cable" not in said
@@ -130,7 +131,7 @@ def test_one_sweep_says_what_it_cannot_know(tmp_path):
     )
     assert done.warnings[0] == "before"
     assert any("only their sum" in text for text in done.warnings)
-    assert read_calibration(done.path).unresolved
+    assert read_calibration(done.path, arm=GALEN).unresolved
 
 
 def test_the_time_is_the_measurement_s_where_it_is_given(tmp_path):
@@ -141,10 +142,10 @@ def test_the_time_is_the_measurement_s_where_it_is_given(tmp_path):
     assert done.content.calibrated_at == "2019-05-02T14:00:07+02:00"
     assert not path.exists()
     calibrate(path, "pointer", TIP, both, [], calibrated_at=moment)
-    assert read_calibration(path).calibrated_at == done.content.calibrated_at
+    assert read_calibration(path, arm=GALEN).calibrated_at == done.content.calibrated_at
     began = datetime.now(UTC) - timedelta(seconds=1)
     calibrate(path, "pointer", TIP, both, [])
-    assert datetime.fromisoformat(read_calibration(path).calibrated_at) > began
+    assert datetime.fromisoformat(read_calibration(path, arm=GALEN).calibrated_at) > began
 
 
 def test_an_outlier_is_named_by_its_place_in_the_sweep(tmp_path):
@@ -193,18 +194,18 @@ def test_what_can_not_be_estimated_leaves_the_old_file(tmp_path, bare, tool, cod
 
 def test_the_tip_is_taken_kept_or_zero(tmp_path):
     path = tmp_path / "pointer.json"
-    assert choose_tip(TIP, path)[0] is TIP
-    tip, warnings = choose_tip(NAN, path)
+    assert choose_tip(TIP, path, arm=GALEN)[0] is TIP
+    tip, warnings = choose_tip(NAN, path, arm=GALEN)
     assert tip.tolist() == [0, 0, 0]
     assert "not known" in warnings[0]
     calibrate(path, "pointer", TIP, measurements(still(NO_TOOL, seed=1), still(POINTER)), [])
-    assert choose_tip(NAN, path)[0] == pytest.approx(TIP)
+    assert choose_tip(NAN, path, arm=GALEN)[0] == pytest.approx(TIP)
     path.write_text("{")
-    tip, warnings = choose_tip(NAN, path)
+    tip, warnings = choose_tip(NAN, path, arm=GALEN)
     assert tip.tolist() == [0, 0, 0]
     assert "pointer.json" in warnings[0]
     with pytest.raises(GalenError, match="nan"):
-        choose_tip(np.array([0.1, math.nan, 0.0]), path)
+        choose_tip(np.array([0.1, math.nan, 0.0]), path, arm=GALEN)
 
 
 def test_torques_in_another_unit_are_written_only_where_it_is_said(tmp_path):

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from galen_calibration_behavior.calibrate_from_bag import main, parse
 from galen_calibration_behavior.from_bag.loads import sample_time
+from galen_model.arm.galen import GALEN
 from galen_model.files.calibration_file import read_calibration
 from galen_model.load.model import ADAPTER, TOOLS
 from galen_ros.command import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_USAGE
@@ -46,7 +47,7 @@ def calibrated(tmp_path_factory):
 
 @pytest.mark.parametrize("tool", sorted(TOOLS))
 def test_a_sample_recording_gives_the_loads_that_made_it(calibrated, tool):
-    file = read_calibration(calibrated / f"{tool}.json")
+    file = read_calibration(calibrated / f"{tool}.json", arm=GALEN)
     assert error_squared(file.load, TOOLS[tool].load) < CHI2_4
     assert error_squared(file.adapter, ADAPTER) < CHI2_4
     assert file.poses_used == 56
@@ -58,8 +59,8 @@ def test_a_sample_recording_gives_the_loads_that_made_it(calibrated, tool):
 def test_it_gives_the_file_that_the_live_calibration_wrote(calibrated, tool):
     """The recording ran beside a live calibration; offline has the same averages."""
     live, offline = (
-        read_calibration(BAGS / "tools" / f"{tool}.json"),
-        read_calibration(calibrated / f"{tool}.json"),
+        read_calibration(BAGS / "tools" / f"{tool}.json", arm=GALEN),
+        read_calibration(calibrated / f"{tool}.json", arm=GALEN),
     )
     for name in ("load", "adapter"):
         a, b = getattr(live, name), getattr(offline, name)
@@ -230,4 +231,4 @@ def test_it_runs_without_ros(tmp_path):
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    assert read_calibration(tmp_path / "pointer.json").poses_used == 56
+    assert read_calibration(tmp_path / "pointer.json", arm=GALEN).poses_used == 56

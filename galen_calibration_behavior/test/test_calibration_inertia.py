@@ -13,6 +13,7 @@ from galen_model.files.calibration_file import (
     LoadEstimate,
     read_calibration,
     write_calibration,
+    zeroed_at,
 )
 from galen_model.load.inertia import inertial_wrench, point_mass_inertia
 from galen_model.load.model import ADAPTER, TOOLS
@@ -29,7 +30,9 @@ def write_recording(path, size):
     times = np.arange(0.0, 26.0, 0.01)
     angle = np.outer(times, RATES) + np.arange(5.0)
     q = GALEN.home + size * np.sin(angle)
-    moving = sensor_motion(q, size * RATES * np.cos(angle), -size * RATES**2 * np.sin(angle))
+    moving = sensor_motion(
+        q, size * RATES * np.cos(angle), -size * RATES**2 * np.sin(angle), arm=GALEN
+    )
     moments = LOAD.moments + ADAPTER.moments
     felt = GALEN.gravity_in_sensor(q[:, 3:]) - moving[2]
     wrenches = inertial_wrench(felt, moving[0], moving[1], moments, INERTIA)
@@ -59,6 +62,8 @@ def tools(tmp_path):
         poses_used=56,
         calibrated_at="2026-09-21T12:00:00+00:00",
         residual_offset=np.arange(6) * 1e-3,
+        arm=GALEN,
+        zeroing=zeroed_at(arm=GALEN),
     )
     write_calibration(tmp_path / "retractor.json", tool)
     return tmp_path
@@ -83,7 +88,7 @@ def test_the_file_gets_the_inertia_and_keeps_the_rest(tools, capsys):
     assert found["agrees_with_file"] and found["blocks_left_out"] == 0
     code, out, _ = run(capsys, *args)
     assert code == 0 and "one standard deviation" in out and "written" in out
-    estimate = read_calibration(tools / "retractor.json").inertia
+    estimate = read_calibration(tools / "retractor.json", arm=GALEN).inertia
     error = estimate.about_sensor_kg_m2 - INERTIA
     assert np.all(np.abs(error) < 4.5 * estimate.std_kg_m2)
     after = json.loads((tools / "retractor.json").read_text())

@@ -13,6 +13,7 @@ from galen_calibration_behavior.calibration.estimate import (
 )
 from galen_calibration_behavior.commands import CalibrationCode, Measurements
 from galen_calibration_behavior.parameters import CalibrationParameters
+from galen_model.arm.galen import GALEN
 from galen_model.errors import IdentificationError
 from galen_model.files.calibration_file import read_calibration
 from galen_model.load.identification import StillPoses
@@ -26,9 +27,9 @@ STD = 2e-3 * np.array([1, 1, 1, 0.02, 0.02, 0.02])
 def still(tool, seed, zero):
     """Readings at the true angles, reported ones beside them."""
     true = POSES + zero
-    exact = nominal_reading(true, tool, ADAPTER, np.stack(zero, axis=-1))
+    exact = nominal_reading(true, tool, ADAPTER, np.stack(zero, axis=-1), arm=GALEN)
     wrench = exact + STD * np.random.default_rng(seed).standard_normal(exact.shape)
-    return StillPoses(POSES, wrench, np.broadcast_to(STD, exact.shape))
+    return StillPoses(POSES, wrench, np.broadcast_to(STD, exact.shape), arm=GALEN)
 
 
 def measured(zero):
@@ -42,7 +43,7 @@ def test_joint_zeros_are_written_and_told(tmp_path):
     request = MountingRequest(("joint_zero",))
     done = estimate(path, "pointer", np.zeros(3), measured(ZERO), [], mounting=request)
     done.write()
-    mounting = read_calibration(path).mounting
+    mounting = read_calibration(path, arm=GALEN).mounting
     error = mounting.joint_zero_rad - ZERO
     assert np.all(np.abs(error) < 4.0 * mounting.std[11:])
     assert done.worth is not None

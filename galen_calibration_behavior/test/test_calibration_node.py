@@ -198,7 +198,7 @@ def test_a_calibration_recovers_the_tool_and_writes_its_file(world):
     assert np.all(result.rmse_force_n < 0.02)
     left_out = [text for text in result.poses_rejected if text.startswith("tool/")]
     assert result.poses_used + len(left_out) == 9
-    file = read_calibration(result.file)
+    file = read_calibration(result.file, arm=GALEN)
     assert world.files == ["pointer.json"]
     assert file.load.mass_kg == result.mass_kg
     assert file.tip_m == pytest.approx([0.15, 0.0, 0.05])
@@ -224,7 +224,7 @@ def test_a_sensor_that_drifts_is_calibrated_with_a_drifting_bias(world):
     assert "drift" in result.model
     assert "block" in result.model_reason
     assert abs(result.mass_kg - 0.060) < 5 * result.mass_std_kg
-    assert read_calibration(result.file).model == result.model
+    assert read_calibration(result.file, arm=GALEN).model == result.model
 
 
 @pytest.mark.parametrize("canceled", [True, False])
@@ -393,7 +393,7 @@ def test_a_mounting_is_estimated_where_the_poses_identify_it(tmp_path, groups, c
         if code == ErrorCode.NONE:
             _, result = world.result(handle)
             assert result.error_code == code, result.error_msg
-            assert read_calibration(result.file).mounting.estimated == tuple(groups)
+            assert read_calibration(result.file, arm=GALEN).mounting.estimated == tuple(groups)
         else:
             world.fails(handle, code, "the roll joint's zero", "the base's inclination about x")
             assert world.driver.moves == 0
@@ -435,7 +435,7 @@ def test_a_sensor_that_can_not_be_zeroed_gives_one_load_and_its_offset(tmp_path)
         world.driver.arm.bias = np.array([1.0, -2.0, 3.0, 0.05, -0.02, 0.01])
         _, result = world.result(world.send(one_sweep=True))
         assert result.error_msg == ""
-        file = read_calibration(result.file)
+        file = read_calibration(result.file, arm=GALEN)
     assert file.zeroing is None and file.adapter.mass_kg == 0.0
     assert abs(file.load.mass_kg - 0.16) < 5.0 * file.load.mass_std_kg
     np.testing.assert_allclose(file.residual_offset, -world.driver.arm.bias, atol=0.02)

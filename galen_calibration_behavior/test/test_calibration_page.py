@@ -10,6 +10,7 @@ import pytest
 from calibration_tape import POINTER, Tape, grid
 from galen_calibration_behavior.calibrate_from_bag import main
 from galen_calibration_behavior.from_bag import page
+from galen_model.arm.galen import GALEN
 from galen_model.files.calibration_file import read_calibration
 
 UNITS = np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.02])
@@ -51,7 +52,7 @@ def test_a_bias_that_creeps_is_found_by_default_and_drawn(calibrate, tmp_path):
     found, text, pictures = calibrate(tape)
     assert "drift" in found["model"] and found["model_reason"]
     assert any("drifted" in warning for warning in found["warnings"])
-    file = read_calibration(tmp_path / "pointer.json")
+    file = read_calibration(tmp_path / "pointer.json", arm=GALEN)
     assert file.model == found["model"]
     off = np.linalg.norm((file.residual_offset - creep[-1])[:3])
     assert off < 0.5 * np.linalg.norm(creep[-1, :3])

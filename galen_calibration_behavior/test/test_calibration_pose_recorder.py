@@ -19,6 +19,7 @@ ARRIVAL = ArrivalSettings(
     velocity_window_s=0.1,
     settle_s=0.2,
     max_stamp_step_s=0.05,
+    arm=GALEN,
 )
 STILLNESS = StillnessSettings(
     joint_motion=np.array([1e-4] * 3 + [5e-4] * 2),

@@ -44,7 +44,7 @@ def plan():
 def grid_at(count):
     """Gravity and times of a grid's poses in the order of a plan and as a serpentine."""
     times, serpentine = GRID.times(), GRID.grid_poses(count - 1, count)
-    orders = order_poses(serpentine, times), serpentine
+    orders = order_poses(serpentine, times, arm=GALEN), serpentine
     return [(GALEN.gravity_in_sensor(poses), times.at_s(poses)) for poses in orders]
 
 
@@ -86,7 +86,7 @@ def test_a_drift_s_price_is_that_of_the_fit(plan):
 
 def test_a_chosen_order_is_short_and_tells_a_drift_from_load(plan):
     times, shuffled = CHOSEN.times(), np.random.default_rng(1).permutation(plan.poses)
-    ordered = order_poses(shuffled, times)
+    ordered = order_poses(shuffled, times, arm=GALEN)
     assert {tuple(pose) for pose in ordered} == {tuple(pose) for pose in plan.poses}
     assert times.sweep_s(ordered) < 0.75 * times.sweep_s(shuffled)
     assert times.sweep_s(ordered) < 0.75 * GRID.times().sweep_s(GRID.grid_poses(7, 8))
@@ -108,7 +108,7 @@ def cost_of_drift(poses, identify, runs):
         drift = time[..., None] / 3600.0 * np.repeat([0.1, 2e-3], 3) * rng.choice([-1, 1], 6)
         for case, extra in enumerate((0.0, drift)):
             readings = still + noise + extra
-            sweeps = [StillPoses(poses, readings[k], None, time[k]) for k in range(2)]
+            sweeps = [StillPoses(poses, readings[k], None, time[k], arm=GALEN) for k in range(2)]
             found = identify(*sweeps, GRID.home_angles)
             both = ((found.load, RETRACTOR), (found.adapter, ADAPTER))
             error = [(load.mass_kg - true.mass_kg, *load.com_m - true.com_m) for load, true in both]
@@ -143,9 +143,9 @@ def test_poses_on_a_line_and_too_many_are_ordered_as_well():
     times = GRID.times()
     for tilts, rolls in ((1, 2), (1, 9), (20, 20)):
         poses = GRID.grid_poses(tilts, rolls)
-        assert sorted(map(tuple, order_poses(poses, times))) == sorted(map(tuple, poses))
+        assert sorted(map(tuple, order_poses(poses, times, arm=GALEN))) == sorted(map(tuple, poses))
     many = GRID.grid_poses(20, 21)
-    assert np.array_equal(order_poses(many, times), many)
+    assert np.array_equal(order_poses(many, times, arm=GALEN), many)
 
 
 @pytest.mark.slow
@@ -153,7 +153,7 @@ def test_chosen_poses_stay_in_range_and_away_from_boxes(plan):
     assert len(plan.poses) == 18
     assert plan.router is None
     boxed = dataclasses.replace(CHOSEN, obstacles=SIDE).plan(TIP)
-    arm = ArmClearance(boxes_from_numbers(SIDE), CHOSEN.obstacle_clearance_m, TIP)
+    arm = ArmClearance(boxes_from_numbers(SIDE), CHOSEN.obstacle_clearance_m, TIP, arm=GALEN)
     for roll, tilt in boxed.poses:
         assert -1.5 <= roll <= 1.5
         assert -1.0 <= tilt <= 0.9
@@ -179,7 +179,7 @@ def test_the_procedure_goes_around_boxes():
     box = (0.5, 0.05, 0.2, 0.9, 0.5, 0.44)
     parameters = dataclasses.replace(GRID, obstacles=box, obstacle_clearance_m=0.02)
     router = make_router(parameters.range, parameters.surroundings, TIP)
-    arm = ArmClearance(boxes_from_numbers(box), 0.02, TIP)
+    arm = ArmClearance(boxes_from_numbers(box), 0.02, TIP, arm=GALEN)
     poses = np.array([[0.0, -0.6], [1.5, -0.6], [0.0, -0.81], [-0.5, 0.3]])
     assert "box 1" in arm.path_fault([0, 0, 0.408, *poses[0]], [0, 0, 0.408, *poses[1]])
     world = World(poses=poses, router=router, one_sweep=True)

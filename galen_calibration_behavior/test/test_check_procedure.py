@@ -90,7 +90,7 @@ def test_an_arm_that_creeps_gives_no_answer_and_stays():
 def test_it_goes_around_a_box():
     settings = replace(FAST, obstacles=BOX, obstacle_clearance_m=0.02)
     straight, around = Course(), Course(settings)
-    clearance = ArmClearance(boxes_from_numbers(BOX), 0.02, POINTER_FILE.tip_m)
+    clearance = ArmClearance(boxes_from_numbers(BOX), 0.02, POINTER_FILE.tip_m, arm=GALEN)
     nearest = {}
     for course in (straight, around):
         nearest[course] = np.inf

@@ -8,7 +8,7 @@ from galen_calibration_behavior.quick_check.decision import CheckLimits, differe
 from galen_calibration_behavior.quick_check.procedure import plan_check
 from galen_model.arm.galen import GALEN
 from galen_model.evidence.verdict import Cause, CheckAnswer
-from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
+from galen_model.files.calibration_file import CalibrationFile, LoadEstimate, zeroed_at
 from galen_model.load.cable import LearnedPull
 from galen_model.load.model import ADAPTER, TOOLS, Load, gravity_wrench, nominal_reading
 from galen_model.poses.design import PoseDesign, PoseDesignError
@@ -44,8 +44,8 @@ def tilt_zero(load, offset_rad):
     """The tilt encoder reads `offset_rad` too little."""
 
     def extra(roll, tilt, _pose):
-        true = nominal_reading((roll, tilt + offset_rad), load, ADAPTER)
-        return true - nominal_reading((roll, tilt), load, ADAPTER)
+        true = nominal_reading((roll, tilt + offset_rad), load, ADAPTER, arm=GALEN)
+        return true - nominal_reading((roll, tilt), load, ADAPTER, arm=GALEN)
 
     return extra
 
@@ -57,7 +57,7 @@ def touched(force_n):
 
 def choose(here, reach_rad=0.5):
     joints = np.array([0.0, 0.0, 0.408, *here])
-    return plan_check(joints, reach_rad, 6, TIMES, Surroundings(), np.zeros(3)).poses
+    return plan_check(joints, reach_rad, 6, TIMES, Surroundings(), np.zeros(3), arm=GALEN).poses
 
 
 POSES = choose((0.0, 0.0))
@@ -69,6 +69,7 @@ def file_of(load, name="pointer", std=LOAD_STD, **changes):
     values = {
         "tool": name, "load": estimate, "adapter": adapter, "tip_m": np.array([0.15, 0.0, 0.05]),
         "rmse": SIGMA, "poses_used": 56, "calibrated_at": "2026-01-01T00:00:00+00:00",
+        "arm": GALEN, "zeroing": zeroed_at(arm=GALEN),
     } | changes  # fmt: skip
     return CalibrationFile(**values)
 
@@ -77,7 +78,7 @@ def records(load, random, *, offset=0.0, extra=None, sigma=SIGMA, poses=POSES, n
     """Averages at the poses: true physics, white noise; `extra(roll, tilt, k)` is added."""
     made = []
     for k, (roll, tilt) in enumerate(poses):
-        wrench = nominal_reading((roll, tilt), load, ADAPTER) + offset
+        wrench = nominal_reading((roll, tilt), load, ADAPTER, arm=GALEN) + offset
         wrench = wrench + (extra(roll, tilt, k) if extra else 0.0)
         noise = 0.0 if nothing else random.standard_normal(6) * sigma
         halves = random.standard_normal(6) * 2.0 * sigma
@@ -264,7 +265,7 @@ def test_poses_are_near_and_tell_the_most_of_those_near(here):
     assert np.all((poses >= low) & (poses <= high))
     assert np.all(np.abs(poses - here) <= 1.0 + 1e-9)
     assert np.all(np.ptp(poses, axis=0) <= 1.0 + 1e-9)
-    value = PoseDesign(poses).value
+    value = PoseDesign(poses, arm=GALEN).value
     random = np.random.default_rng(2)
     middle = (poses.min(axis=0) + poses.max(axis=0)) / 2
     scattered = [value(middle + random.uniform(-0.5, 0.5, (6, 2))) for _ in range(50)]

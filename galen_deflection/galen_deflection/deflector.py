@@ -20,7 +20,6 @@ from typing import NamedTuple
 
 import numpy as np
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.errors import KinematicsError
 from galen_model.rotation import matrix_to_quaternion
@@ -101,7 +100,8 @@ class Deflector:
         parameters: DeflectionParameters | None = None,
         on_restart: Callable[[str], None] | None = None,
         on_forgotten: Callable[[str], None] | None = None,
-        arm: Arm = GALEN,
+        *,
+        arm: Arm,
     ) -> None:
         """`on_forgotten(why)` is called after the memory of the active model was dropped."""
         parameters = parameters or DeflectionParameters()

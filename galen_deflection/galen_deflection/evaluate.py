@@ -75,7 +75,9 @@ def evaluate_files(arguments: argparse.Namespace) -> int:
                 tool = tool_of(bag, arguments, arm)
                 for name, model in models.items():
                     _check_tip(paths[name], model, bag, tool)
-                recording = read_recording(bag, tool, arguments.marker_offset, _shown_by(bar), arm)
+                recording = read_recording(
+                    bag, tool, arguments.marker_offset, _shown_by(bar), arm=arm
+                )
                 row, scores = _scored(recording, models, paths)
                 row["plots"] = _plots(
                     arguments.plots, recording.samples, _predicted(recording, models), names[bag]

@@ -46,7 +46,7 @@ class DeflectionNode(StreamNode):
         p = self._config = self._held.now
         self._arm = self._take_arm()
         self._joint_names = names_of_joints(p.joint_names, self._arm)
-        self._deflector = Deflector(p, self._on_restart, self._on_forgotten, self._arm)
+        self._deflector = Deflector(p, self._on_restart, self._on_forgotten, arm=self._arm)
         self._prediction = DeflectorMonitor(self._deflector)
         self._model_file = ""
         self._gravcomp: GravcompState | None = None

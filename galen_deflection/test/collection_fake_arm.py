@@ -15,7 +15,7 @@ BASE_IN_TRACKER = Transform(rotvec_to_matrix([0.1, 2.9, 0.3]), np.array([0.15, -
 BASE_MARKER = Transform(rotvec_to_matrix([0.05, -0.1, 0.7]), np.array([0.32, 0.21, 0.05]))
 BASE_POSE = BASE_IN_TRACKER @ BASE_MARKER
 TRACKER_EVERY = 3
-SPRINGS = Springs(TIP)
+SPRINGS = Springs(TIP, arm=GALEN)
 
 
 class FakeArm:

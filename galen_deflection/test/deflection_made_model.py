@@ -4,6 +4,7 @@ import numpy as np
 from deflection_synthetic import NOISE, TIP_M
 from galen_deflection.models.interface import FittedRange
 from galen_deflection.models.spring_model import Operator, SpringBasis, SpringModel
+from galen_model.arm.galen import GALEN
 
 OPERATORS = (
     Operator("roll", "play", (0.4,)),
@@ -16,10 +17,10 @@ JOINT_SPREAD = np.array([0.15, 0.15, 0.15, 1.6, 1.1])
 
 def made_model(hysteresis=True, tip_m=TIP_M, softer=1.0):
     """The nominal arm, `softer` times as compliant, with plays at its joints if asked for."""
-    basis = SpringBasis(np.asarray(tip_m))
+    basis = SpringBasis(np.asarray(tip_m), arm=GALEN)
     values = softer * np.array([parameter.prior for parameter in basis.compliances])
     if hysteresis:
-        basis = SpringBasis(np.asarray(tip_m), OPERATORS)
+        basis = SpringBasis(np.asarray(tip_m), OPERATORS, arm=GALEN)
         values = np.concatenate([values, WEIGHTS])
     push = np.array([20.0, 20.0, 20.0, 4.0, 4.0, 4.0])
     home = np.array([0.0, 0.0, 0.408, 0.0, 0.0])
@@ -31,6 +32,6 @@ def made_model(hysteresis=True, tip_m=TIP_M, softer=1.0):
         np.diag((0.01 * values) ** 2),
         np.diag(NOISE**2) * 0.01,
         NOISE,
-        FittedRange(-push, push, home - JOINT_SPREAD, home + JOINT_SPREAD),
+        FittedRange(-push, push, home - JOINT_SPREAD, home + JOINT_SPREAD, arm=GALEN),
         {"samples": size, "segments": 1, "positions": 1, "sets": 1},
     )

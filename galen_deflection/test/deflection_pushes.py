@@ -28,6 +28,7 @@ def make_samples(at_tip, deflection, *, segment=None, position=None, noise=NOISE
         deflection=np.asarray(deflection, dtype=float),
         tip_m=TIP,
         noise=np.asarray(noise, dtype=float),
+        arm=GALEN,
     )
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from galen_deflection.measurement.samples import DeflectionSamples
 from galen_deflection.models.springs import Springs, kinds
+from galen_model.arm.galen import GALEN
 from galen_model.load.model import TOOLS
 
 TIP_M = TOOLS["retractor"].tip_m
@@ -44,7 +45,7 @@ class Arm:
         """Of each spring (n, 11), from its loads (n, 11) in time."""
         result = np.empty_like(loads)
         for kind, compliance, friction in zip(
-            kinds(), self.compliances, (*self.friction, 0.0), strict=True
+            kinds(arm=GALEN), self.compliances, (*self.friction, 0.0), strict=True
         ):
             for s in kind.springs:
                 result[:, s] = compliance * loads[:, s]
@@ -106,7 +107,7 @@ def recording(
     for repetition in range(sets):
         for position, place in enumerate(positions):
             joints = np.tile(place, (len(at_tip), 1))
-            jacobian = Springs(TIP_M).geometry(joints[:1]).jacobian[0]
+            jacobian = Springs(TIP_M, arm=GALEN).geometry(joints[:1]).jacobian[0]
             displacement = arm.displacements(at_tip @ jacobian) @ jacobian.T
             segment = repetition * len(positions) + position
             numbers = (segment, position, repetition)
@@ -123,19 +124,20 @@ def recording(
         deflection=deflection + rng.normal(size=deflection.shape) * noise,
         tip_m=TIP_M,
         noise=NOISE,
+        arm=GALEN,
         **whole,
     )
 
 
 def in_sensor(joints, at_tip):
     """Wrenches (n, 6) in ft_sensor about its origin of those at the tip in base_link."""
-    to_tip = Springs(TIP_M).geometry(joints[:1]).to_tip[0]  # one place only
+    to_tip = Springs(TIP_M, arm=GALEN).geometry(joints[:1]).to_tip[0]  # one place only
     return np.linalg.solve(to_tip, at_tip.T).T
 
 
 def without_noise(samples, arm):
     """The same samples with the true deflection."""
-    geometry = Springs(TIP_M).geometry(samples.joints)
+    geometry = Springs(TIP_M, arm=GALEN).geometry(samples.joints)
     at_tip = np.einsum("nij,nj->ni", geometry.to_tip, samples.wrench)
     loads = np.einsum("nis,ni->ns", geometry.jacobian, at_tip)
     deflection = np.empty_like(samples.deflection)

@@ -16,7 +16,7 @@ from galen_model.rotation import matrix_to_quaternion, rotvec_to_matrix
 from galen_ros.cdr import joint_state_bytes, pose_bytes, wrench_bytes
 
 ROOT = Path(__file__).resolve().parents[2]
-TOOL = read_calibration(ROOT / "bags" / "tools" / "retractor.json")
+TOOL = read_calibration(ROOT / "bags" / "tools" / "retractor.json", arm=GALEN)
 POSITIONS = np.array(
     [
         [0.00, 0.00, 0.408, 0.0, 0.0],

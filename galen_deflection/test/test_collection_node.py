@@ -21,6 +21,7 @@ from galen_deflection.measurement.samples import find_pushes
 from galen_deflection.models.spring_fit import fit_stiffness
 from galen_deflection.models.springs import kinds, tip_wrench
 from galen_deflection.scoring.cross_check import report_splits, sets_of
+from galen_model.arm.galen import GALEN
 from galen_model.files.calibration_file import read_calibration
 from galen_ros.command import EXIT_USAGE
 from galen_ros.node.testing import Harness
@@ -177,7 +178,9 @@ def test_from_the_simulated_arm_to_the_compliances_of_its_joints(tmp_path):
             messages += sum(info.count for info in bag.topics.values())
     assert messages == result.messages == content["messages"]
 
-    recording = read_pushes(folder / "push", read_calibration(folder / "tool.json"))
+    recording = read_pushes(
+        folder / "push", read_calibration(folder / "tool.json", arm=GALEN), arm=GALEN
+    )
     assert not any("not untouched at first" in problem for problem in recording.problems)
     measured = measure_deflection(recording)
     samples = measured.samples
@@ -190,7 +193,7 @@ def test_from_the_simulated_arm_to_the_compliances_of_its_joints(tmp_path):
     assert len(find_pushes(samples, tip_wrench(samples))) >= 12
 
     model = fit_stiffness(samples)
-    nominal = np.array([kind.compliance for kind in kinds()])  # what the driver's arm has
+    nominal = np.array([kind.compliance for kind in kinds(arm=GALEN)])  # what the driver's arm has
     assert model.unresolved == ()
     assert np.all(model.std < 0.05 * nominal)
     assert np.all(np.abs(model.values - nominal) < 4.0 * model.std)

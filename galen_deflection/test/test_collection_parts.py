@@ -187,7 +187,7 @@ def test_a_finished_folder_gets_its_name_at_the_end(tmp_path):
     assert folder.close({"a": 1}, finished=True) == tmp_path / "new" / "monday"
     assert sorted(p.name for p in folder.path.iterdir()) == ["collection.json", "tool.json"]
     assert json.loads((folder.path / "collection.json").read_text()) == {"a": 1}
-    assert read_calibration(folder.path / "tool.json").tip_m == pytest.approx(TOOL.tip_m)
+    assert read_calibration(folder.path / "tool.json", arm=GALEN).tip_m == pytest.approx(TOOL.tip_m)
 
 
 @pytest.mark.parametrize("name", ["../x", "", "a/b", "/etc/x", "x" * 65, "a b", "x.unfinished"])

@@ -168,7 +168,7 @@ def test_a_model_s_file_names_its_arm_and_is_rejected_on_another(tmp_path):
     with pytest.raises(
         DeflectionError, match=r"arm 'six_axis' \(shoulder_pan, .*'galen' \(delta_x"
     ):
-        read_model(path)
+        read_model(path, arm=GALEN)
     other = replace(ARM, joints=(*ARM.joints[:5], replace(ARM.joints[5], name="wrist")))
     with pytest.raises(DeflectionError, match="not of 'six_axis'"):
         read_model(path, other)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from galen_deflection.measurement.samples import DeflectionError
 from galen_deflection.models.file import KINDS, read_model
+from galen_model.arm.galen import GALEN
 from galen_model.files.calibration_file import write_calibration
 from galen_ros.command import EXIT_FAILED, EXIT_OK
 from push_bag import POSITIONS, ROOT, TOOL, Scene, write
@@ -52,7 +53,7 @@ def test_train_joins_recordings_and_writes_what_it_fitted(folder, tmp_path, caps
         "-o", file,
     )  # fmt: skip
     assert code == EXIT_OK
-    model = read_model(file)
+    model = read_model(file, arm=GALEN)
     # Four places in two recordings of three each: two are in both, under one number.
     assert said["positions"] == model.fitted_on["positions"] == 4
     assert model.fitted_on["sets"] == 6

@@ -153,6 +153,7 @@ def test_an_arm_of_plays_gives_its_weights_back():
             Operator("tilt", "play", (0.4,)),
             Operator("carriage", "play", (3.0,) * 3),
         ),
+        arm=GALEN,
     )
     true = np.array([5e-4, 6e-4, 3e-6, 5e-7, 1e-4, 2e-4, 1e-6])
     errors = []
@@ -205,14 +206,14 @@ def test_one_stretch_of_load_tells_no_hysteresis():
 def test_what_no_joint_does_is_fitted_and_said(place, shape, notes):
     """Hysteresis of the platform as a whole, and a deflection that leads its load."""
     samples = recording(seed=5, rate_hz=15.0)
-    anywhere = SpringBasis(TIP_M, (Operator(PLATFORM, "play", (0.0,) * 6),))
+    anywhere = SpringBasis(TIP_M, (Operator(PLATFORM, "play", (0.0,) * 6),), arm=GALEN)
     motion = SpringRun(anywhere).loads(samples.joints, samples.wrench)[3][
-        :, SpringBasis(TIP_M).columns[PLATFORM]
+        :, SpringBasis(TIP_M, arm=GALEN).columns[PLATFORM]
     ]
     largest = np.abs(motion).max(axis=0)
     thresholds = tuple((0.2 * largest).tolist()) if place == PLATFORM else (0.3,)
     weight = 0.4 if place == PLATFORM else 3e-4
-    basis = SpringBasis(TIP_M, (Operator(place, shape, thresholds),))
+    basis = SpringBasis(TIP_M, (Operator(place, shape, thresholds),), arm=GALEN)
     true = np.append(np.array([5e-4, 6e-4, 3e-6, 5e-7]), weight)
     clean = _of(basis, true, samples).predict(samples).mean
     noise = np.random.default_rng(0).normal(size=clean.shape) * NOISE
@@ -251,9 +252,9 @@ def _of(basis, values, samples):
 def test_the_platforms_motion_is_that_of_its_centre():
     """Against the nominal model: a tip at the platform's centre would move so."""
     samples = recording(seed=5, rate_hz=5.0).rows(slice(0, None, 40))
-    basis = SpringBasis(TIP_M, (Operator(PLATFORM, "play", (0.0,) * 6),))
+    basis = SpringBasis(TIP_M, (Operator(PLATFORM, "play", (0.0,) * 6),), arm=GALEN)
     _, _, jacobian, loads = SpringRun(basis).loads(samples.joints, samples.wrench)
-    columns = list(SpringBasis(TIP_M).columns[PLATFORM])
+    columns = list(SpringBasis(TIP_M, arm=GALEN).columns[PLATFORM])
     for row in range(len(samples)):
         joints = samples.joints[row]
         _, tip = GALEN.tip_pose(joints, TIP_M)
@@ -310,7 +311,7 @@ def test_what_soft_friction_leaves_at_no_load_is_predicted():
 
 def _rubbed(samples):
     """Dahl's friction beside each spring: a fifth of its stiffness, half of its largest load."""
-    basis = SpringBasis(TIP_M)
+    basis = SpringBasis(TIP_M, arm=GALEN)
     clean = np.zeros_like(samples.deflection)
     for segment in np.unique(samples.segment):
         rows = samples.segment == segment

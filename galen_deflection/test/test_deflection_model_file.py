@@ -19,6 +19,7 @@ from galen_model.files.calibration_file import (
     LoadEstimate,
     read_calibration,
     write_calibration,
+    zeroed_at,
 )
 
 SPRINGS = ["joint_stiffness", "joint_hysteresis"]
@@ -52,6 +53,7 @@ def network(samples, hidden=4):
         fitted_on=fitted_on(samples),
         iterations=12,
         held_out_error=1.5,
+        arm=GALEN,
     )
 
 
@@ -73,7 +75,7 @@ def signed(content):
 def test_a_model_that_was_read_predicts_the_same_to_the_last_bit(kind, models, samples, tmp_path):
     path = tmp_path / "deeper" / f"{kind}.json"
     write_model(path, models[kind])
-    read = read_model(path)
+    read = read_model(path, arm=GALEN)
     assert read.name == kind
     assert read.to_json() == models[kind].to_json()
     ours, theirs = models[kind].predict(samples), read.predict(samples)
@@ -140,7 +142,7 @@ def rejects_changed(path, change, said):
     change(content)
     path.write_text(json.dumps(signed(content)))
     with pytest.raises(DeflectionError, match=said) as error:
-        read_model(path)
+        read_model(path, arm=GALEN)
     assert str(error.value).startswith(f"{path}: ")
 
 
@@ -150,9 +152,9 @@ def test_any_change_shows_in_the_checksum(path):
     content["parameters"][3]["value"] *= 1.0 + 1e-12
     path.write_text(json.dumps(content))
     with pytest.raises(DeflectionError, match="sha256 is not that of the content"):
-        read_model(path)
+        read_model(path, arm=GALEN)
     path.write_text(json.dumps(json.loads(text), indent=3, sort_keys=True))  # only laid out anew
-    read_model(path)
+    read_model(path, arm=GALEN)
 
 
 @pytest.mark.parametrize(
@@ -170,12 +172,12 @@ def test_what_is_no_model_is_rejected(tmp_path, raw, said):
     path = tmp_path / "arm.json"
     path.write_bytes(raw)
     with pytest.raises(DeflectionError, match=said):
-        read_model(path)
+        read_model(path, arm=GALEN)
 
 
 def test_a_missing_file_and_a_folder_that_cannot_be_are_named(tmp_path, models):
     with pytest.raises(DeflectionError, match=r"gone.json: can't be read: No such file"):
-        read_model(tmp_path / "gone.json")
+        read_model(tmp_path / "gone.json", arm=GALEN)
     (tmp_path / "file").write_text("")
     with pytest.raises(DeflectionError, match=r"arm.json: can't be written: "):
         write_model(tmp_path / "file" / "arm.json", models["joint_stiffness"])
@@ -187,7 +189,7 @@ def test_what_has_no_end_is_not_waited_for(tmp_path):
     os.mkfifo(pipe)
     for path in ("/dev/null", pipe):
         with pytest.raises(DeflectionError, match="no regular file"):
-            read_model(path)
+            read_model(path, arm=GALEN)
 
 
 def test_what_could_not_be_read_is_not_written(path, models):
@@ -202,7 +204,7 @@ def test_what_could_not_be_read_is_not_written(path, models):
 def test_the_old_file_is_kept(path, models):
     before = path.read_bytes()
     write_model(path, models["joint_stiffness"])
-    assert read_model(path).name == "joint_stiffness"
+    assert read_model(path, arm=GALEN).name == "joint_stiffness"
     assert path.with_name("arm.json.bak").read_bytes() == before
 
 
@@ -212,7 +214,15 @@ def test_a_calibration_file_and_a_model_are_not_taken_for_each_other(path, tmp_p
     write_calibration(
         tool,
         CalibrationFile(
-            "pointer", load, load, np.zeros(3), np.zeros(6), 56, "2026-01-01T00:00:00Z"
+            "pointer",
+            load,
+            load,
+            np.zeros(3),
+            np.zeros(6),
+            56,
+            "2026-01-01T00:00:00Z",
+            arm=GALEN,
+            zeroing=zeroed_at(arm=GALEN),
         ),
     )
     calibration, deflection = (
@@ -220,8 +230,8 @@ def test_a_calibration_file_and_a_model_are_not_taken_for_each_other(path, tmp_p
         "a deflection model (`train` writes it)",
     )
     with pytest.raises(CalibrationFileError) as wrong:
-        read_calibration(model)
+        read_calibration(model, arm=GALEN)
     assert str(wrong.value) == f"{model}: it is {deflection}; {calibration} is needed here"
     with pytest.raises(DeflectionError) as wrong:
-        read_model(tool)
+        read_model(tool, arm=GALEN)
     assert str(wrong.value) == f"{tool}: it is {calibration}; {deflection} is needed here"

@@ -40,11 +40,11 @@ def test_springs_give_the_nominal_deflection_and_are_linear_in_compliances():
     """Against the arm's own deflection, and its differences over each stiffness."""
     joints = places(40)
     wrench = np.random.default_rng(1).normal(size=(40, 6)) * [10, 10, 10, 1, 1, 1]
-    design = SpringRun(SpringBasis(TIP_M)).rows(joints, wrench)[1]
-    nominal = [kind.compliance for kind in kinds()]
+    design = SpringRun(SpringBasis(TIP_M, arm=GALEN)).rows(joints, wrench)[1]
+    nominal = [kind.compliance for kind in kinds(arm=GALEN)]
     theirs = [GALEN.deflection(q, w, TIP_M) for q, w in zip(joints, wrench, strict=True)]
     np.testing.assert_allclose(design @ nominal, theirs, rtol=0, atol=1e-15)
-    for k, kind in enumerate(kinds()):
+    for k, kind in enumerate(kinds(arm=GALEN)):
         softer = GALEN.with_stiffness({kind.name: 0.5 / kind.compliance})
         for row in range(5):
             step = softer.deflection(joints[row], wrench[row], TIP_M) - theirs[row]
@@ -56,7 +56,7 @@ def test_joints_that_deflect_move_the_tip_as_the_kinematics_do():
     """J against finite differences of the forward kinematics, and the delta's own Jacobian."""
     step = 1e-6
     for joints in places(6, seed=4):
-        jacobian = Springs(TIP_M).geometry(joints[None]).jacobian[0]
+        jacobian = Springs(TIP_M, arm=GALEN).geometry(joints[None]).jacobian[0]
         for column, joint in enumerate(GALEN.turning):
             ends = [
                 GALEN.tip_pose(joints + sign * step * np.eye(5)[joint], TIP_M) for sign in (-1, 1)
@@ -75,7 +75,7 @@ def test_joints_that_deflect_move_the_tip_as_the_kinematics_do():
 def test_rods_that_do_not_reach_are_named():
     for joints in ([GALEN.home, [0.4, 0.0, 0.4, 0.0, 0.0]], [[0.4, 0.0, 0.4, 0.0, 0.0]]):
         with pytest.raises(KinematicsError, match="rod 3 does not reach"):
-            Springs(TIP_M).geometry(np.array(joints))
+            Springs(TIP_M, arm=GALEN).geometry(np.array(joints))
 
 
 def test_one_pose_is_calculated_as_many_are():
@@ -84,7 +84,7 @@ def test_one_pose_is_calculated_as_many_are():
     spread = [0.1, 0.1, 0.1, np.pi, np.pi / 2]
     joints = GALEN.home + rng.uniform(-1, 1, (100, 5)) * spread
     joints = joints[[0, 0, 1, 2, 2, 0, *range(100)]]
-    one, many = Springs(TIP_M), Springs(TIP_M).geometry(joints)
+    one, many = Springs(TIP_M, arm=GALEN), Springs(TIP_M, arm=GALEN).geometry(joints)
     for k in range(len(joints)):
         single = one.geometry(joints[k : k + 1])
         for ours, theirs in zip(single[:3], many[:3], strict=True):
@@ -95,7 +95,7 @@ def test_the_wrench_at_the_tip_does_the_same_work():
     """Power of a rigid motion: the same by the sensor's wrench and by the tip's."""
     joints = places(3, seed=6)
     wrench = np.random.default_rng(7).normal(size=(3, 6))
-    at_tip = Springs(TIP_M).at_tip(joints, wrench)
+    at_tip = Springs(TIP_M, arm=GALEN).at_tip(joints, wrench)
     turn = np.array([0.3, -0.2, 0.5])
     for k in range(3):
         rotation, _ = GALEN.tip_pose(joints[k], TIP_M)

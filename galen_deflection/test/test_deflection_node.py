@@ -16,6 +16,7 @@ from galen_model.files.calibration_file import (
     LoadEstimate,
     calibration_path,
     write_calibration,
+    zeroed_at,
 )
 from galen_model.load.model import TOOLS
 from galen_model.registration import Transform
@@ -317,7 +318,15 @@ def test_with_gravcomp_itself(harness, folder):
     for name in ("pointer", "retractor"):
         tip_m = TOOLS[name].tip_m
         tool = CalibrationFile(
-            name, load, load, tip_m, np.zeros(6), 56, calibrated_at="2026-01-01T00:00:00Z"
+            name,
+            load,
+            load,
+            tip_m,
+            np.zeros(6),
+            56,
+            calibrated_at="2026-01-01T00:00:00Z",
+            arm=GALEN,
+            zeroing=zeroed_at(arm=GALEN),
         )
         write_calibration(calibration_path(folder / "tools", name), tool)
     harness.add(

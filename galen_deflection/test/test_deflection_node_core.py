@@ -35,7 +35,7 @@ class Rig:
     def __init__(self, model=MODEL, **settings):
         self.forgotten = []
         self.deflector = Deflector(
-            DeflectionParameters(**settings), on_forgotten=self.forgotten.append
+            DeflectionParameters(**settings), on_forgotten=self.forgotten.append, arm=GALEN
         )
         self.deflector.set_model(model)
         self.results = []

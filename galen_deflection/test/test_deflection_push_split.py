@@ -48,6 +48,7 @@ def visit(position, levels, *, set_number=0, seed=0):
         deflection=deflection,
         tip_m=TIP,
         noise=NOISE,
+        arm=GALEN,
     )
 
 

@@ -19,7 +19,7 @@ from galen_deflection.measurement.push_recording import base_stands, read_pushes
 from galen_deflection.measurement.registration import RegistrationError
 from galen_deflection.measurement.samples import DeflectionError
 from galen_gravcomp.compensator import Compensator
-from galen_model.arm.galen import SENSOR
+from galen_model.arm.galen import GALEN, SENSOR
 from galen_model.files.calibration_file import read_calibration
 from galen_model.registration import Transform
 from galen_model.rotation import matrix_to_quaternion, quaternion_to_matrix, rotvec_to_matrix
@@ -50,14 +50,14 @@ def sound(tmp_path_factory):
     """The recording that others are compared with, and its deflections."""
     scene = Scene()
     path = write(tmp_path_factory.mktemp("bag") / "sound", scene.topics())
-    recording = read_pushes(path, TOOL)
+    recording = read_pushes(path, TOOL, arm=GALEN)
     return scene, recording, measure_deflection(recording)
 
 
 def tampered(tmp_path, tamper, scene=SHORT):
     topics = scene.topics()
     tamper(topics)
-    return read_pushes(write(tmp_path / "bag", topics), TOOL)
+    return read_pushes(write(tmp_path / "bag", topics), TOOL, arm=GALEN)
 
 
 def said(recording, *words):
@@ -101,11 +101,11 @@ def test_the_wrench_is_the_applied_one_at_the_markers_stamps(sound):
     ],
 )
 def test_wrenches_are_those_of_the_compensator(bag, tool):
-    path, tool, count = ROOT / "bags" / bag, read_calibration(tool), 3000
+    path, tool, count = ROOT / "bags" / bag, read_calibration(tool, arm=GALEN), 3000
     with open_bag(path) as opened:
-        track = read_arm_track(opened, tool, jump_s=0.03)
-    arm = read_arm(path)
-    compensator = Compensator()
+        track = read_arm_track(opened, tool, jump_s=0.03, arm=GALEN)
+    arm = read_arm(path, arm=GALEN)
+    compensator = Compensator(arm=GALEN)
     compensator.set_tool(tool)
     made = []
     last_ns = arm.wrench_stamp_ns[count]
@@ -135,7 +135,7 @@ def test_positions_and_phases_are_found(sound):
 
 def test_a_position_visited_again_has_its_number_and_another_visit(tmp_path):
     scene = Scene(positions=POSITIONS[[0, 1, 0]])
-    recording = read_pushes(write(tmp_path / "bag", scene.topics()), TOOL)
+    recording = read_pushes(write(tmp_path / "bag", scene.topics()), TOOL, arm=GALEN)
     keys = np.unique(np.stack([recording.position, recording.visit, recording.segment]), axis=1)
     assert keys.T.tolist() == [[0, 0, 0], [0, 1, 2], [1, 0, 1]]
     samples = measure_deflection(recording).samples
@@ -143,7 +143,7 @@ def test_a_position_visited_again_has_its_number_and_another_visit(tmp_path):
 
 
 def test_the_simulated_cells_pushes_agree_with_nominal():
-    recording = read_pushes(ROOT / "bags" / "pushes", TOOL)
+    recording = read_pushes(ROOT / "bags" / "pushes", TOOL, arm=GALEN)
     assert recording.problems == ()
     _check_nominal(measure_deflection(recording))
 
@@ -153,7 +153,9 @@ def test_an_arm_that_others_wrote(number):
     folder = SHARED / f"recording_{number}"
     if not folder.is_dir():
         pytest.skip("the shared recordings are not here")
-    recording = read_pushes(folder / "push", read_calibration(folder / "tool.json"))
+    recording = read_pushes(
+        folder / "push", read_calibration(folder / "tool.json", arm=GALEN), arm=GALEN
+    )
     measured = measure_deflection(recording)
     assert len(recording.positions) == 4
     untouched = recording.untouched[measured.rows]
@@ -282,7 +284,7 @@ def test_stamps_that_jump_for_one_sample_cost_that_sample_only(tmp_path):
         topics[WRENCH].stamp_ns[900] += NS // 2
 
     recording = tampered(tmp_path, jump)
-    clean = read_pushes(write(tmp_path / "clean", SHORT.topics()), TOOL)
+    clean = read_pushes(write(tmp_path / "clean", SHORT.topics()), TOOL, arm=GALEN)
     assert len(said(recording, "stamps jump by")) == 6  # there and back
     # The marker's own, and the one before the joints' bad one. The compensator rejects the bad
     # wrench, and its neighbours are near enough.
@@ -347,7 +349,7 @@ def test_wrenches_that_cannot_be_compensated_are_named(tmp_path):
     assert said(recording, "not compensated: no joint angles within 0.05 s")
     other = replace(TOOL, arm=replace(TOOL.arm, sensor_frame="other"))
     with pytest.raises(DeflectionError, match=r"no wrench could be.*frame_id is not 'other'"):
-        read_pushes(tmp_path / "bag", other)
+        read_pushes(tmp_path / "bag", other, arm=GALEN)
 
 
 def test_repeated_and_late_stamps_are_left_out(tmp_path):
@@ -489,7 +491,7 @@ def test_a_visit_that_begins_under_load_has_no_untouched_phase():
 
 def test_a_recording_pushed_from_the_start_says_so(tmp_path):
     scene = Scene(positions=POSITIONS[:2], rest_s=0.0)
-    recording = read_pushes(write(tmp_path / "bag", scene.topics()), TOOL)
+    recording = read_pushes(write(tmp_path / "bag", scene.topics()), TOOL, arm=GALEN)
     assert len(said(recording, "not untouched at first")) == 2
     with pytest.raises(
         RegistrationError, match=r"stands untouched.*; position 0.*changes from the start"

@@ -57,7 +57,7 @@ def off(found, true):
 
 
 def test_one_position_tells_the_base_marker():
-    found = register(rests()[:1], TOOL.tip_m)
+    found = register(rests()[:1], TOOL.tip_m, arm=GALEN)
     assert off(found.base_marker, BASE_MARKER) == pytest.approx(np.zeros(6), abs=1e-12)
     assert "nothing checks" in found.problems[0]
     assert np.isnan(found.checks[0].distance)
@@ -70,7 +70,7 @@ def test_one_position_is_the_reports_equations_13_and_14():
     tracker_tool = tracker_base @ rest.marker
     base_tool = Transform(*GALEN.tip_pose(rest.joints, TOOL.tip_m))
     report = tracker_base.inverse() @ tracker_tool @ base_tool.inverse()
-    found = register([rest], TOOL.tip_m)
+    found = register([rest], TOOL.tip_m, arm=GALEN)
     assert off(found.base_marker.inverse(), report) == pytest.approx(np.zeros(6), abs=1e-12)
     moved = Transform(rotvec_to_matrix([0.01, 0.02, 0.0]), np.array([0.0, 1e-3, 0.0])) @ rest.marker
     seen = report.inverse() @ tracker_base.inverse() @ (tracker_base @ moved)
@@ -79,7 +79,7 @@ def test_one_position_is_the_reports_equations_13_and_14():
 
 @pytest.mark.parametrize("offset", [IDENTITY, OFFSET])
 def test_several_positions_tell_base_and_offset(offset):
-    found = register(rests(offset=offset), TOOL.tip_m, estimate_offset=True)
+    found = register(rests(offset=offset), TOOL.tip_m, estimate_offset=True, arm=GALEN)
     assert off(found.base_marker, BASE_MARKER) == pytest.approx(np.zeros(6), abs=1e-10)
     assert off(found.tool_marker, offset) == pytest.approx(np.zeros(6), abs=1e-10)
 
@@ -91,7 +91,7 @@ def test_the_covariance_is_that_of_the_errors(estimated):
     count = 12 if estimated else 6
     squares, alarms = [], 0
     for seed in range(120):
-        found = register(rests(offset=offset, seed=seed), TOOL.tip_m, estimated)
+        found = register(rests(offset=offset, seed=seed), TOOL.tip_m, estimated, arm=GALEN)
         error = np.concatenate(
             [off(found.base_marker, BASE_MARKER), off(found.tool_marker, offset)]
         )[:count]
@@ -104,7 +104,7 @@ def test_the_covariance_is_that_of_the_errors(estimated):
 
 def test_from_a_recording_with_the_markers_own_offset(tmp_path):
     scene = Scene(tool_marker=OFFSET)
-    recording = read_pushes(write(tmp_path / "bag", scene.topics()), TOOL)
+    recording = read_pushes(write(tmp_path / "bag", scene.topics()), TOOL, arm=GALEN)
     found = measure_deflection(recording, marker_offset=True)
     (registered,) = found.registrations
     error = off(registered.tool_marker, OFFSET)
@@ -125,7 +125,7 @@ def test_from_a_recording_with_the_markers_own_offset(tmp_path):
 @pytest.mark.parametrize("count", [1, 2])
 def test_too_few_positions_tell_no_offset(count):
     with pytest.raises(RegistrationError, match=f"from {count} position"):
-        register(rests()[:count], TOOL.tip_m, estimate_offset=True)
+        register(rests()[:count], TOOL.tip_m, estimate_offset=True, arm=GALEN)
 
 
 @pytest.mark.parametrize("joint", [3, 4])
@@ -134,20 +134,22 @@ def test_turns_about_one_axis_tell_no_offset(joint):
     positions[:, joint] = [-0.5, 0.0, 0.4, 0.8]
     positions[:, :3] += 0.02 * np.arange(4)[:, None]
     with pytest.raises(RegistrationError, match="turns about one axis only"):
-        register(rests(positions, seed=1), TOOL.tip_m, estimate_offset=True)
-    register(rests(positions, seed=1), TOOL.tip_m)  # the base's marker is told all the same
+        register(rests(positions, seed=1), TOOL.tip_m, estimate_offset=True, arm=GALEN)
+    register(
+        rests(positions, seed=1), TOOL.tip_m, arm=GALEN
+    )  # the base's marker is told all the same
 
 
 def test_small_turns_tell_no_offset():
     positions = POSITIONS.copy()
     positions[:, 3:] *= 0.01
     with pytest.raises(RegistrationError, match=r"known to .* only, worse than one sample"):
-        register(rests(positions, seed=1), TOOL.tip_m, estimate_offset=True)
+        register(rests(positions, seed=1), TOOL.tip_m, estimate_offset=True, arm=GALEN)
 
 
 def test_no_rest_no_registration():
     with pytest.raises(RegistrationError, match="stands untouched"):
-        register([], TOOL.tip_m)
+        register([], TOOL.tip_m, arm=GALEN)
 
 
 # --- does it hold -------------------------------------------------------------------------------
@@ -155,9 +157,9 @@ def test_no_rest_no_registration():
 
 def test_a_check_is_the_fit_to_the_other_positions():
     poses = rests(seed=5)
-    found = register(poses, TOOL.tip_m)
+    found = register(poses, TOOL.tip_m, arm=GALEN)
     for number, check in enumerate(found.checks):
-        others = register([p for p in poses if p is not poses[number]], TOOL.tip_m)
+        others = register([p for p in poses if p is not poses[number]], TOOL.tip_m, arm=GALEN)
         tip = Transform(*GALEN.tip_pose(poses[number].joints, TOOL.tip_m))
         residual = off(others.tip(poses[number].marker), tip)
         assert check.residual == pytest.approx(residual, abs=1e-8)
@@ -170,7 +172,7 @@ def test_a_position_that_does_not_agree_is_named_with_its_size():
     knocked = poses[2].marker.displaced(np.array([0.0, 0.3e-3, 0.0, 1e-3, 0.0, 0.0]))
     poses[2] = replace(poses[2], marker=knocked)
     with pytest.raises(RegistrationError) as caught:
-        register(poses, TOOL.tip_m)
+        register(poses, TOOL.tip_m, arm=GALEN)
     text = str(caught.value)
     assert "position 2 is off" in text
     assert "and 1.0" in text
@@ -181,7 +183,7 @@ def test_what_is_no_noise_but_small_is_told_and_let_pass():
     poses = rests(seed=6)
     knocked = poses[2].marker.displaced(np.array([0.0, 0.06e-3, 0.0, 0.0, 0.0, 0.0]))
     poses[2] = replace(poses[2], marker=knocked)
-    found = register(poses, TOOL.tip_m)
+    found = register(poses, TOOL.tip_m, arm=GALEN)
     assert any(
         "position 2" in text and "accepted, but more than noise" in text for text in found.problems
     )
@@ -190,16 +192,16 @@ def test_what_is_no_noise_but_small_is_told_and_let_pass():
 def test_poses_without_noise_are_not_measured():
     poses = [RestPose(0, POSITIONS[0], BASE_MARKER, np.zeros(6), np.zeros((6, 6)))]
     with pytest.raises(RegistrationError, match="aren't measured"):
-        register(poses, TOOL.tip_m)
+        register(poses, TOOL.tip_m, arm=GALEN)
 
 
 def test_a_zero_of_the_tilt_is_noticed_and_is_exactly_an_offset():
     zeros = np.array([0.0, 0.0, 0.0, 0.0, 0.01])
     poses = rests(zeros=zeros)
     with pytest.raises(RegistrationError, match="does not hold") as caught:
-        register(poses, TOOL.tip_m)
+        register(poses, TOOL.tip_m, arm=GALEN)
     assert "10.00" in str(caught.value)  # the hint: the marker's offset that would explain it
-    found = register(poses, TOOL.tip_m, estimate_offset=True)
+    found = register(poses, TOOL.tip_m, estimate_offset=True, arm=GALEN)
     assert np.linalg.norm(found.tool_marker.displacement_from(IDENTITY)[3:]) == pytest.approx(0.01)
     assert max(check.distance for check in found.checks) < 1e-3
     assert off(found.base_marker, BASE_MARKER) == pytest.approx(np.zeros(6), abs=1e-9)
@@ -208,11 +210,11 @@ def test_a_zero_of_the_tilt_is_noticed_and_is_exactly_an_offset():
 def test_a_zero_of_the_roll_is_noticed_by_the_platforms_way_only():
     zeros = np.array([0.0, 0.0, 0.0, 0.01, 0.0])
     with pytest.raises(RegistrationError, match="does not hold"):
-        register(rests(zeros=zeros), TOOL.tip_m)
+        register(rests(zeros=zeros), TOOL.tip_m, arm=GALEN)
     # With the platform in one place, the base marker takes the turn up, whatever the angles.
     still = POSITIONS.copy()
     still[:, :3] = POSITIONS[0, :3]
-    found = register(rests(still, zeros=zeros), TOOL.tip_m)
+    found = register(rests(still, zeros=zeros), TOOL.tip_m, arm=GALEN)
     assert max(check.distance for check in found.checks) < 1e-3
     assert np.linalg.norm(off(found.base_marker, BASE_MARKER)[3:]) == pytest.approx(0.01)
 
@@ -221,15 +223,15 @@ def test_a_wrong_registration_names_the_recording(tmp_path):
     scene = Scene(positions=POSITIONS[:2], joint_zeros=np.array([0.0, 0.0, 0.0, 0.0, 0.01]))
     path = write(tmp_path / "wrong_tilt", scene.topics())
     with pytest.raises(RegistrationError, match="wrong_tilt: the registration does not hold"):
-        measure_deflection(read_pushes(path, TOOL))
+        measure_deflection(read_pushes(path, TOOL, arm=GALEN))
 
 
 def test_an_arm_that_others_wrote_with_another_zero_of_its_tilt():
     folder = SHARED / "recording_601"
     if not folder.is_dir():
         pytest.skip("the shared recordings are not here")
-    tool = read_calibration(folder / "tool.json")
-    recording = read_pushes(folder / "push", tool)
+    tool = read_calibration(folder / "tool.json", arm=GALEN)
+    recording = read_pushes(folder / "push", tool, arm=GALEN)
     with pytest.raises(RegistrationError, match="does not hold"):
         measure_deflection(recording)
     found = measure_deflection(recording, marker_offset=True).registrations[0]

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from galen_deflection.measurement.samples import DeflectionSamples
 from galen_deflection.scoring.cross_check import SplitError, position_splits, report_splits
+from galen_model.arm.galen import GALEN
 
 
 def make_samples(sets, segments_a_set=2, samples_a_segment=3):
@@ -25,6 +26,7 @@ def make_samples(sets, segments_a_set=2, samples_a_segment=3):
         deflection=np.zeros((count, 6)),
         tip_m=np.zeros(3),
         noise=np.ones(6),
+        arm=GALEN,
     )
 
 

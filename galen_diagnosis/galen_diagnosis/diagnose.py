@@ -363,7 +363,7 @@ def _known(tool: Place | None, inertial_forces: bool) -> dict[str, Any]:
     if tool is not None:
         with local_copy(tool) as path:
             if not path.is_file():
-                read_calibration(path)  # one message, and not one a recording
+                read_calibration(path, GALEN)  # one message, and not one a recording
             known["tool_sha256"] = sha256(path.read_bytes()).hexdigest()
     return known
 
@@ -448,7 +448,7 @@ def _prepared(
         )
     columns = arguments.columns.split(",") if arguments.columns else None
     arm = chosen_arm(arguments)
-    table = read_table(path, columns, arguments.wrench_frame, arm)
+    table = read_table(path, columns, arguments.wrench_frame, arm=arm)
     found = check_setup(still_readings(table))
     if found is not None and found.gross and not arguments.no_setup_check:
         raise SetupError(f"{path}: {found.sentence}; --no-setup-check diagnoses it all the same")

@@ -88,7 +88,7 @@ _PUSH_POSITIONS = np.array(
 )
 
 
-def sweep_poses(arm: Arm = GALEN) -> Array:
+def sweep_poses(arm: Arm) -> Array:
     """Return joints (56, n) of a sweep: of the Galen 7 tilts, 8 rolls each, there and back.
 
     Of another arm evenly about its middle pose.
@@ -128,7 +128,7 @@ def make_recording(
     seed: int = 0,
     tool: str = "pointer",
     *,
-    arm: Arm = GALEN,
+    arm: Arm,
     poses: Array | None = None,
     bags: Sequence[str] = BAG_ORDER,
     truth: bool = False,

@@ -10,6 +10,7 @@ from galen_diagnosis.answer.answer import Answer, Diagnosis, FoundCause, Interva
 from galen_diagnosis.answer.localization import localize
 from galen_diagnosis.observation.rows import BAGS, CHANNELS, FOLDS, REGIMES, ResidualRows, Stream
 from galen_diagnosis.report.words import sentence
+from galen_model.arm.galen import GALEN
 from galen_sim_driver.effects.joints import JointZeroOffset
 
 TILTS = np.linspace(-0.9, 0.8, 7)
@@ -55,6 +56,7 @@ def example_rows():
         rate=np.array(rate),
         samples=np.full(len(each), 25),
         scale=np.array([noise[name] / 5.0 for name in channel]),
+        arm=GALEN,
     )
 
 

@@ -61,16 +61,16 @@ CONTRACT = {
     "tracker_scale": {"gain"},
     "base_shift": {"translation_m", "rotvec_rad", "time_s"},
 }
-NOMINAL = draw_tolerance(0, 0.0)
+NOMINAL = draw_tolerance(0, 0.0, arm=GALEN)
 TOOL = TOOLS[1]
-PLANT = Plant(TOOL.body, ADAPTER, TOOL.tip_m)
+PLANT = Plant(TOOL.body, ADAPTER, TOOL.tip_m, arm=GALEN)
 POSE = np.array([0.03, -0.04, 0.45, 0.5, -0.4])
 
 
 @pytest.fixture(scope="module")
 def healthy():
     """An arm without tolerances in the beginning of a session of motion and pushes."""
-    whole = draw_session(5, ("motion", "push"))
+    whole = draw_session(5, ("motion", "push"), arm=GALEN)
     takes = {}
     for bag, take in whole.takes.items():
         early = take.wrench.taken_s < 20.0
@@ -151,7 +151,10 @@ def test_forces_in_motion_are_the_inertial_formula():
     size = np.std(expected[later], axis=0)
     assert size[0] > 3.0 * SENSOR.noise_std[0]
     for share in (0.0, 1.0):
-        found = MujocoArm(replace(PLANT, inertial=share)).run(at_s, joints).wrench - weights
+        found = (
+            MujocoArm(replace(PLANT, inertial=share), nominal=GALEN).run(at_s, joints).wrench
+            - weights
+        )
         left = np.std((found - share * expected)[later], axis=0)
         assert np.all(left < 1.5 * STEP_S * DECAY * size + 0.01 * SENSOR.noise_std)
 
@@ -173,9 +176,9 @@ def test_an_arm_of_a_description_is_rigid_but_for_what_is_made_soft():
 
 
 def test_the_six_joint_arm_moves_as_its_reported_joints_do():
-    whole = draw_session(5, ("motion",), SIX)
+    whole = draw_session(5, ("motion",), arm=SIX)
     take = replace(whole.takes["motion"], end_s=15.0)  # where it stops at once
-    measured = Measurement(replace(whole, takes={"motion": take}), draw_tolerance(5, 0.0, SIX))
+    measured = Measurement(replace(whole, takes={"motion": take}), draw_tolerance(5, 0.0, arm=SIX))
     trace = measured.trace("motion")
     before = trace.at_s < 14.9
     rotation, position = SIX.tip_pose(take.course(trace.at_s[before]), whole.tool.tip_m)
@@ -186,8 +189,8 @@ def test_the_six_joint_arm_moves_as_its_reported_joints_do():
 
 @pytest.mark.parametrize("arm", [GALEN, SIX])
 def test_a_mass_without_play_is_the_tools_own(arm):
-    session = draw_session(901, ("motion",), arm)
-    healthy = Measurement(session, draw_tolerance(0, 0.0, arm))
+    session = draw_session(901, ("motion",), arm=arm)
+    healthy = Measurement(session, draw_tolerance(0, 0.0, arm=arm))
     play = Measurement(session, healthy.tolerance)
     play.plant = replace(healthy.plant, inner=InnerMass(0.02, (0.0, 1e-6, 0.0)))
     at_s = np.arange(1.0, 20.0, 0.01)
@@ -209,7 +212,7 @@ def test_a_hanging_cable_holds_its_weight_and_its_form():
 
 def test_sliders_beside_a_spring_leave_a_part_of_its_way():
     """And below their friction they are springs."""
-    measured = Measurement(draw_session(5, ("push",)), NOMINAL)
+    measured = Measurement(draw_session(5, ("push",), arm=GALEN), NOMINAL)
     arm = GALEN.with_stiffness({"tilt": 1100.0})
     left = []
     for friction in (0.2, 5.0):
@@ -267,7 +270,7 @@ def test_truths_numbers_mean_what_the_simulator_takes_them_for(healthy, name, be
     cause = LISTED[name](np.random.default_rng(7), healthy)
     changed = Measurement(healthy.session, NOMINAL, [cause.resized(3.0 * cause.size)], healthy)
     cause = changed.causes[0]
-    effect = effect_from(name.partition(":")[0], dict(cause.truth(cause.size, changed)))
+    effect = effect_from(name.partition(":")[0], dict(cause.truth(cause.size, changed)), arm=GALEN)
     if beside is not None:
         scene = _scene(healthy, "motion")
         wanted = changed.reading("motion", scene.wrench_s) - scene.reading - healthy.session.zero
@@ -307,6 +310,7 @@ def _scene(healthy, bag):
         tracker_s=np.zeros(0) if take.recorded is None else np.arange(1.0, 20.0, 3.0),
         tool=ToolGeometry(Load(tool.mass_kg, tool.com_m), tool.tip_m),
         adapter=Load(ADAPTER.mass_kg, ADAPTER.com_m),
+        arm=GALEN,
     )
 
 
@@ -369,7 +373,7 @@ def test_a_case_of_the_six_joint_arm_is_read_as_it_was_made(tmp_path):
 
 
 def test_what_is_observed_without_a_file_is_what_a_file_holds(tmp_path):
-    measured = Measurement(draw_session(7, ("push",)), NOMINAL)
+    measured = Measurement(draw_session(7, ("push",), arm=GALEN), NOMINAL)
     write_recording(tmp_path / "r", measured)
     read, told = read_recording(tmp_path / "r"), observed(measured)
     one, other = read.bags["push"], told.bags["push"]
@@ -392,7 +396,7 @@ def test_friction_in_the_rods_leaves_a_fraction_and_a_healthy_arm_none(healthy):
 @pytest.mark.parametrize("arm", [GALEN, SIX])
 def test_courses_stay_in_the_limits(arm):
     for seed in range(6):
-        for take in draw_session(seed, BAGS, arm).takes.values():
+        for take in draw_session(seed, BAGS, arm=arm).takes.values():
             at_s = np.linspace(0.0, take.end_s, 1500)
             joints, rates = take.course(at_s), arm.angles(take.course(at_s, 1))
             assert np.all((joints > arm.lower) & (joints < arm.upper))
@@ -401,7 +405,7 @@ def test_courses_stay_in_the_limits(arm):
 
 def test_one_session_has_the_same_metadata_whatever_its_cause(tmp_path, healthy):
     """Names, sizes, stamps and counts of a recording depend on its seed alone."""
-    motion = draw_session(7, ("motion",))
+    motion = draw_session(7, ("motion",), arm=GALEN)
     plain = Measurement(motion, NOMINAL)
     found = []
     for name in ("", "joint_zero_offset:tilt", "sensor_saturation", "wrench_delay"):
@@ -442,7 +446,10 @@ def test_without_mujoco_the_error_says_how_to_get_it(monkeypatch):
 
 @pytest.mark.parametrize("bag", BAGS)
 def test_a_session_depends_on_its_seed_and_not_on_the_bags_recorded(bag):
-    whole, alone = draw_session(3).takes[bag], draw_session(3, (bag,)).takes[bag]
+    whole, alone = (
+        draw_session(3, arm=GALEN).takes[bag],
+        draw_session(3, (bag,), arm=GALEN).takes[bag],
+    )
     np.testing.assert_array_equal(whole.wrench.stamp_s, alone.wrench.stamp_s)
     at_s = np.linspace(0.0, whole.end_s, 50)
     np.testing.assert_array_equal(whole.course(at_s), alone.course(at_s))

@@ -45,8 +45,8 @@ def recordings(monkeypatch, tmp_path):
     def read(path, tool=None, *, inertial_forces=False):
         if path.name.startswith("broken"):
             raise GalenError(f"{path}: no directory with a recording")
-        retractor = read_calibration(ROOT / "bags" / "tools" / "retractor.json")
-        return DiagnosticRecording(path.name, retractor, {}, (), ())
+        retractor = read_calibration(ROOT / "bags" / "tools" / "retractor.json", arm=GALEN)
+        return DiagnosticRecording(path.name, retractor, {}, (), (), arm=GALEN)
 
     def diagnosed(recording, progress=None):
         diagnosis = diagnosed_as(recording.name.split("_")[0])

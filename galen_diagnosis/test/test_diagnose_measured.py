@@ -11,7 +11,7 @@ from galen_diagnosis.diagnose import main as diagnose
 from galen_diagnosis.tables.conclusion import diagnose_blocks
 from galen_diagnosis.tables.rows import prepare_table
 from galen_diagnosis.tables.table_effects import TablePlant, drift_columns
-from galen_model.arm.galen import GRAVITY_M_S2
+from galen_model.arm.galen import GALEN, GRAVITY_M_S2
 from galen_model.evidence.held_out import BlockEvidence, BlockRows, Columns
 from galen_model.load.model import Load, gravity_wrench
 from galen_model.rotation import rotvec_to_matrix
@@ -113,7 +113,7 @@ def test_a_planted_cause_is_found_in_a_table(cause):
     table, sigma = pose_table(), np.repeat([0.02, 0.001], 3)
     load = Load(0.9, np.array([0.004, -0.003, 0.045]))
     offset = np.array([9.0, -1.0, 5.0, 0.4, -0.7, -0.15])
-    turned = effect_from("sensor_mount_rotation", {"rotvec_rad": [0.02, -0.02, 0.01]})
+    turned = effect_from("sensor_mount_rotation", {"rotvec_rad": [0.02, -0.02, 0.01]}, arm=GALEN)
     plant = TablePlant(table.gravity, table.rotation, np.arange(10.0), load, offset)
     wrench = plant.reading([turned] if cause == turned.name else [])
     if cause == "unknown":  # each stop has a constant of its own

@@ -12,6 +12,7 @@ from galen_diagnosis.observation.observation import Observation, Unknowns
 from galen_diagnosis.observation.recording import read_recording
 from galen_diagnosis.observation.rows import CHANNELS, FOLDS
 from galen_diagnosis.simulated_recording import make_recording, sweep_poses
+from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
 from galen_sim_driver.effects.joints import JointZeroOffset
 
@@ -21,7 +22,7 @@ SWEEP_ONLY = ("sweep",)
 @pytest.fixture(scope="module")
 def healthy(tmp_path_factory):
     folder = tmp_path_factory.mktemp("healthy") / "made"
-    make_recording(folder, seed=3, bags=SWEEP_ONLY)
+    make_recording(folder, seed=3, bags=SWEEP_ONLY, arm=GALEN)
     return Observation(read_recording(folder))
 
 
@@ -93,8 +94,8 @@ def test_a_gap_that_is_none_has_no_closed_fraction(healthy):
 @pytest.mark.timeout(400)
 def test_the_simulated_arms_tilt_zero_is_found_and_its_gap_closes(tmp_path):
     effects = [JointZeroOffset("tilt", offset_rad=0.012)]
-    poses, bags = sweep_poses()[::2], ("sweep", "push")
-    make_recording(tmp_path / "made", effects, seed=8, poses=poses, bags=bags)
+    poses, bags = sweep_poses(arm=GALEN)[::2], ("sweep", "push")
+    make_recording(tmp_path / "made", effects, seed=8, poses=poses, bags=bags, arm=GALEN)
     shares = []
     answer = diagnose_recording(
         read_recording(tmp_path / "made"), progress=lambda what, share: shares.append(share)

@@ -11,6 +11,7 @@ from galen_diagnosis.inference.refine import Hypothesis
 from galen_diagnosis.observation.observation import Observation, Unknowns
 from galen_diagnosis.observation.recording import read_recording
 from galen_diagnosis.simulated_recording import make_recording, sweep_poses
+from galen_model.arm.galen import GALEN
 from galen_model.evidence.linear import Background
 from galen_sim_driver.effects.sensor import SensorSaturation
 
@@ -18,7 +19,9 @@ from galen_sim_driver.effects.sensor import SensorSaturation
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory):
     folder = tmp_path_factory.mktemp("odd") / "made"
-    make_recording(folder, seed=5, poses=sweep_poses()[::8], bags=("sweep", "motion"))
+    make_recording(
+        folder, seed=5, poses=sweep_poses(arm=GALEN)[::8], bags=("sweep", "motion"), arm=GALEN
+    )
     return read_recording(folder)
 
 

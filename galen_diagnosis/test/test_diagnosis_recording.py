@@ -23,7 +23,7 @@ START_NS = 10**18
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("recording") / "made"
-    make_recording(folder, seed=1, poses=sweep_poses()[:3], bags=("sweep",))
+    make_recording(folder, seed=1, poses=sweep_poses(arm=GALEN)[:3], bags=("sweep",), arm=GALEN)
     return folder
 
 
@@ -61,7 +61,9 @@ def test_a_directory_without_bags_is_told_what_a_recording_is(tmp_path):
 
 
 def test_pauses_between_positions_are_no_missing_samples(tmp_path):
-    make_recording(tmp_path / "r", seed=1, poses=sweep_poses()[:1], bags=("push",))
+    make_recording(
+        tmp_path / "r", seed=1, poses=sweep_poses(arm=GALEN)[:1], bags=("push",), arm=GALEN
+    )
     assert read_recording(tmp_path / "r").problems == ()
 
 
@@ -86,7 +88,7 @@ def test_samples_that_say_nothing_are_left_out_and_counted(tmp_path):
     one.joints[[5, 6], 0] = np.inf
     stamps = one.wrench_stamp_ns.copy()
     stamps[0] = 0
-    taken = _Arm(tmp_path, replace(one, wrench_stamp_ns=stamps))
+    taken = _Arm(tmp_path, replace(one, wrench_stamp_ns=stamps), robot=GALEN)
     assert len(taken.wrench_s) == 98
     assert len(taken.joint_s) == 98
     assert taken.first_ns == START_NS
@@ -97,7 +99,7 @@ def test_samples_that_say_nothing_are_left_out_and_counted(tmp_path):
 def test_wrenches_beyond_the_joints_are_left_out(tmp_path):
     one = arm(tmp_path, 200)
     short = replace(one, joint_stamp_ns=one.joint_stamp_ns[:100], joints=one.joints[:100])
-    taken = _Arm(tmp_path, short)
+    taken = _Arm(tmp_path, short, robot=GALEN)
     assert taken.wrench_s[-1] == pytest.approx(0.99 + _REACH_S)
     assert "90 wrenches" in taken.problems[0]
 
@@ -105,7 +107,7 @@ def test_wrenches_beyond_the_joints_are_left_out(tmp_path):
 def test_a_dead_axis_is_a_problem(tmp_path):
     one = arm(tmp_path)
     one.wrenches[:, 1] = 0.3
-    assert _Arm(tmp_path, one).problems[0].startswith("fy read the same")
+    assert _Arm(tmp_path, one, robot=GALEN).problems[0].startswith("fy read the same")
 
 
 @pytest.mark.parametrize(
@@ -132,13 +134,13 @@ def test_a_dead_axis_is_a_problem(tmp_path):
 def test_what_cant_be_used_is_an_error_that_names_the_bag(tmp_path, change, sentence):
     one = change(arm(tmp_path))
     with pytest.raises(GalenError, match=sentence) as error:
-        _Arm(tmp_path, one)
+        _Arm(tmp_path, one, robot=GALEN)
     assert str(tmp_path) in str(error.value)
 
 
 def test_slow_topics_are_an_error(tmp_path):
     with pytest.raises(GalenError, match="joint states at 10 Hz"):
-        _Arm(tmp_path, arm(tmp_path, period_s=0.1))
+        _Arm(tmp_path, arm(tmp_path, period_s=0.1), robot=GALEN)
 
 
 @pytest.fixture(scope="module")
@@ -146,7 +148,7 @@ def accelerated(tmp_path_factory):
     """The pointer and its adapter, 0.16 kg, with an inertia of their own; all three bags."""
     folder = tmp_path_factory.mktemp("accelerated") / "made"
     inertial = InertialLoad(0.16, OWN_INERTIA_KG_M2)
-    make_recording(folder, [inertial], seed=3, poses=sweep_poses()[:3])
+    make_recording(folder, [inertial], seed=3, poses=sweep_poses(arm=GALEN)[:3], arm=GALEN)
     return folder
 
 
@@ -154,7 +156,7 @@ OWN_INERTIA_KG_M2 = (1e-3, 1e-3, 1e-3, 0.0, 0.0, 0.0)
 
 
 def with_inertia(folder, target):
-    tool = read_calibration(folder / "tool.json")
+    tool = read_calibration(folder / "tool.json", arm=GALEN)
     about = point_mass_inertia(tool.load.load, tool.adapter.load) + OWN_INERTIA_KG_M2
     write_calibration(target, replace(tool, inertia=InertiaEstimate(about, np.eye(6) * 1e-10)))
     return target

@@ -26,7 +26,7 @@ from galen_diagnosis.experiment.trial import (
 )
 from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
-from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
+from galen_model.files.calibration_file import CalibrationFile, LoadEstimate, zeroed_at
 from galen_model.load.model import ADAPTER, TOOLS
 from galen_model.poses.design import angle_grid
 from galen_sim_driver.effects.registry import EFFECTS
@@ -47,6 +47,8 @@ def tool_file(com_std_m=2e-4):
         np.zeros(6),
         56,
         "2026-01-01T00:00:00Z",
+        arm=GALEN,
+        zeroing=zeroed_at(arm=GALEN),
     )
 
 
@@ -240,7 +242,7 @@ def read_parameters(path, node):
 def test_the_file_is_what_the_nodes_take(tmp_path, roll_experiment):
     sweep_proposal = Proposal("still poses", "sweep", GALEN.with_angles(GRID), ())
     found = replace(roll_experiment, proposal=sweep_proposal)
-    write_sweep(found, tmp_path / "sweep.yaml")
+    write_sweep(found, tmp_path / "sweep.yaml", arm=GALEN)
     numbers = read_parameters(tmp_path / "sweep.yaml", "calibration")
     numbers["listed_poses_rad"] = tuple(numbers["listed_poses_rad"])
     parameters = CalibrationParameters(**numbers)
@@ -250,7 +252,7 @@ def test_the_file_is_what_the_nodes_take(tmp_path, roll_experiment):
     assert tuple(parameters.home) == tuple(GALEN.home)
     assert found.to_json()["poses"] == 56
 
-    write_sweep(roll_experiment, tmp_path / "pushes.yaml")
+    write_sweep(roll_experiment, tmp_path / "pushes.yaml", arm=GALEN)
     numbers = read_parameters(tmp_path / "pushes.yaml", "collection")
     CollectionParameters(**{name: tuple(value) for name, value in numbers.items()}).validate()
 
@@ -259,5 +261,5 @@ def test_what_no_node_runs_is_not_written(tmp_path, roll_experiment):
     by_hand = replace(roll_experiment.proposal, kind="two speeds", program="none")
     found = replace(roll_experiment, proposal=by_hand)
     with pytest.raises(GalenError, match="do it by hand: with the tracker on"):
-        write_sweep(found, tmp_path / "none.yaml")
+        write_sweep(found, tmp_path / "none.yaml", arm=GALEN)
     assert not list(tmp_path.iterdir())

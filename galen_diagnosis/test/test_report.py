@@ -31,6 +31,7 @@ from galen_diagnosis.report.words import (
     title,
 )
 from galen_diagnosis.simulated_recording import make_recording
+from galen_model.arm.galen import GALEN
 from galen_sim_driver.effects.effect import ConfigError
 from galen_sim_driver.effects.joints import JointZeroOffset
 from galen_sim_driver.effects.load import ToolMassError
@@ -376,7 +377,7 @@ def test_twice_the_size_that_would_be_missed_is_found_and_half_of_it_is_not(tmp_
     """The mass alone, of the sweep: no tracker, no motion."""
 
     def looked_at(name, effects=()):
-        make_recording(tmp_path / name, effects, seed=4, bags=("sweep",))
+        make_recording(tmp_path / name, effects, seed=4, bags=("sweep",), arm=GALEN)
         explored = explore(read_recording(tmp_path / name))
         return explored, posterior(explored.scored, settings)
 
@@ -400,12 +401,12 @@ def test_twice_the_size_that_would_be_missed_is_found_and_half_of_it_is_not(tmp_
 
 def test_driver_file_gives_the_driver_what_was_found():
     effects = (JointZeroOffset("tilt", 0.0102),)
-    ((node, below),) = yaml.safe_load(effect_file("a\n- {injected: 1}", effects)).items()
+    ((node, below),) = yaml.safe_load(effect_file("a\n- {injected: 1}", effects, arm=GALEN)).items()
     assert node == "/**/sim_driver"
     assert effects_of(EffectParameters(**below["ros__parameters"])) == effects
-    assert effect_file("a", ()) is None
+    assert effect_file("a", (), arm=GALEN) is None
     with pytest.raises(ConfigError):
-        effect_file("a", effects * 2)
+        effect_file("a", effects * 2, arm=GALEN)
 
 
 def test_an_answer_of_nothing_but_a_verdict_makes_a_page():

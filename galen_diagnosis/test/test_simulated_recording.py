@@ -8,7 +8,7 @@ import pytest
 from galen_bags.formats.bag import open_bag
 from galen_diagnosis.observation.recording import DiagnosticRecording, read_recording
 from galen_diagnosis.simulated_recording import main, make_recording, sweep_poses
-from galen_model.arm.galen import SENSOR, TRACKER_POSITION_NOISE_M
+from galen_model.arm.galen import GALEN, SENSOR, TRACKER_POSITION_NOISE_M
 from galen_model.errors import GalenError
 from galen_model.load.model import TOOLS
 from galen_model.rotation import rotvec_to_matrix
@@ -18,7 +18,7 @@ from galen_sim_driver.effects.sensor import BaseShift, BiasStep, TrackerDelay, W
 from galen_sim_driver.plant.config import BASE_IN_TRACKER
 from galen_sim_driver.replay import Replay, Scene
 
-FEW = sweep_poses()[::11]
+FEW = sweep_poses(arm=GALEN)[::11]
 
 
 def scene(recording: DiagnosticRecording, name: str) -> Scene:
@@ -34,6 +34,7 @@ def scene(recording: DiagnosticRecording, name: str) -> Scene:
         tracker_s=np.zeros(0) if bag.tool_marker is None else bag.tool_marker.at_s,
         tool=replace(TOOLS[tool.tool], load=tool.load.load, tip_m=tool.tip_m),
         adapter=tool.adapter.load,
+        arm=GALEN,
     )
 
 
@@ -46,7 +47,9 @@ def spread(recording, name, effects):
 
 
 def test_a_sweep_holds_what_the_contract_says_and_nothing_else(tmp_path):
-    make_recording(tmp_path / "made", seed=4, tool="retractor", poses=FEW, bags=("sweep",))
+    make_recording(
+        tmp_path / "made", seed=4, tool="retractor", poses=FEW, bags=("sweep",), arm=GALEN
+    )
     assert sorted(path.name for path in (tmp_path / "made").iterdir()) == ["sweep", "tool.json"]
     with open_bag(tmp_path / "made" / "sweep") as bag:
         assert sorted(bag.topics) == ["/joint_states", "/wrench_raw"]
@@ -66,7 +69,7 @@ def test_the_same_seed_makes_the_same_recording_and_another_one_another(tmp_path
     readings = []
     for number, seed in enumerate((1, 1, 2)):
         path = tmp_path / str(number)
-        make_recording(path, seed=seed, poses=FEW[:2], bags=("sweep",))
+        make_recording(path, seed=seed, poses=FEW[:2], bags=("sweep",), arm=GALEN)
         readings.append(read_recording(path).bags["sweep"].wrenches)
     assert (readings[0] == readings[1]).all()
     assert (readings[0] != readings[2]).any()
@@ -83,14 +86,14 @@ def test_the_same_seed_makes_the_same_recording_and_another_one_another(tmp_path
 )
 def test_a_recording_that_cant_be_is_not_left_half(tmp_path, arguments, words):
     with pytest.raises(GalenError, match=words):
-        make_recording(tmp_path / "made", **arguments)
+        make_recording(tmp_path / "made", arm=GALEN, **arguments)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_what_is_there_is_not_written_over(tmp_path, capsys):
     (tmp_path / "made").mkdir()
     with pytest.raises(GalenError, match="made: is there already"):
-        make_recording(tmp_path / "made")
+        make_recording(tmp_path / "made", arm=GALEN)
     assert main(["tilt", "--output", str(tmp_path / "made")]) == 1
     assert "is there already" in capsys.readouterr().err
     assert list((tmp_path / "made").iterdir()) == []
@@ -106,7 +109,7 @@ def test_replay_with_the_effects_explains_all_three_bags_to_the_noise(tmp_path):
         BiasStep(20.0, (0.2, 0.0, 0.0, 0.0, 0.0, 0.01), "motion"),
         BaseShift((0.002, 0.0, 0.0), (0.0, 0.0, 0.001), 60.0),
     ]
-    make_recording(tmp_path / "made", effects, seed=7, poses=FEW, truth=True)
+    make_recording(tmp_path / "made", effects, seed=7, poses=FEW, truth=True, arm=GALEN)
     recording = read_recording(tmp_path / "made")
     told = json.loads((tmp_path / "made" / "truth.json").read_text())
     assert [one["effect"] for one in told["effects"]] == [effect.name for effect in effects]

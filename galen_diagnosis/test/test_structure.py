@@ -17,12 +17,13 @@ from galen_diagnosis.observation.observation import Observation
 from galen_diagnosis.observation.recording import read_recording
 from galen_diagnosis.observation.rows import CHANNELS, Stream
 from galen_diagnosis.simulated_recording import make_recording
+from galen_model.arm.galen import GALEN
 
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory):
     folder = tmp_path_factory.mktemp("structure") / "made"
-    make_recording(folder, seed=8, bags=("sweep",))
+    make_recording(folder, seed=8, bags=("sweep",), arm=GALEN)
     return read_recording(folder)
 
 

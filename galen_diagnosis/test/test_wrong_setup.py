@@ -64,7 +64,7 @@ def recording(gravity):
     at_s = 0.01 * np.arange(len(angles))
     bag = BagData("sweep", 0.0, at_s, joints, at_s, wrench, None, None)
     tool = SimpleNamespace(mounting=None)
-    return DiagnosticRecording("r", tool, {"sweep": bag}, (), ())
+    return DiagnosticRecording("r", tool, {"sweep": bag}, (), (), arm=GALEN)
 
 
 def test_a_recording_of_an_arm_on_a_wall_is_not_diagnosed():

@@ -29,7 +29,6 @@ from itertools import islice
 
 import numpy as np
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_ppf
 from galen_model.evidence.verdict import (
@@ -178,7 +177,7 @@ def _near(segment: RestSegment, window: StillWindow, unit: Array) -> bool:
 class CalibrationMonitor:
     """Judges a calibration by the rest segments of what goes out."""
 
-    def __init__(self, limits: Limits | None = None, arm: Arm = GALEN) -> None:
+    def __init__(self, limits: Limits | None = None, *, arm: Arm) -> None:
         self._arm = arm
         self._limits = limits or Limits()
         self._windows = StillWindows()

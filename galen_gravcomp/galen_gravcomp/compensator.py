@@ -16,7 +16,6 @@ from dataclasses import replace
 import numpy as np
 from galen_bags.arrays.arm_recording import Samples
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.evidence.verdict import Limits
@@ -58,7 +57,8 @@ class Compensator:
         self,
         parameters: GravcompParameters | None = None,
         on_restart: Callable[[str], None] | None = None,
-        arm: Arm = GALEN,
+        *,
+        arm: Arm,
     ) -> None:
         """`on_restart(why)` is called after everything was cleared because the driver restarted."""
         self.arm = arm
@@ -69,7 +69,7 @@ class Compensator:
         """Inertial forces, where the parameters ask for them."""
         self.bias_drift = BiasDrift(enabled=p.bias_drift, ramp_s=p.tare_ramp_s, arm=arm)
         limits = Limits(p.fit_limit_force_n, p.fit_limit_torque_nm)
-        self.monitor = CalibrationMonitor(limits, arm) if p.calibration_monitor else None
+        self.monitor = CalibrationMonitor(limits, arm=arm) if p.calibration_monitor else None
         """Checks whether the calibration file fits."""
         self.pairing = WrenchPairing(
             p, self._forget_driver, sensor_frame=arm.sensor_frame, awaited=self.motion, arm=arm

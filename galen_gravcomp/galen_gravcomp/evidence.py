@@ -48,7 +48,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.evidence import columns
 from galen_model.evidence.linear import (
@@ -153,7 +152,7 @@ class Judgement:
 class FitEvidence:
     """Judges segments of one tool's file."""
 
-    def __init__(self, tool: CalibrationFile, arm: Arm = GALEN) -> None:
+    def __init__(self, tool: CalibrationFile, arm: Arm) -> None:
         self._arm = arm
         self._tool = tool
         self._gravity_m_s2 = float(np.linalg.norm(arm.gravity_m_s2))

@@ -339,7 +339,7 @@ class ToolServices:
             given = joint_vector(list(request.joints), arm)
             joints = given if len(request.joints) else live
             used = [name in needed_joints(frame, arm) for name in arm.joint_names]
-            place = sensor_in_frame(frame, stored.tool.tip_m, joints, arm)
+            place = sensor_in_frame(frame, stored.tool.tip_m, joints, arm=arm)
             load = place.load(stored.tool.load)
             response.frame = frame
             response.joints = np.where(used, joints, math.nan)

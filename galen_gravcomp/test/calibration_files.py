@@ -1,7 +1,8 @@
 """Calibration files of tests: one tool on the contract's adapter."""
 
 import numpy as np
-from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
+from galen_model.arm.galen import GALEN
+from galen_model.files.calibration_file import CalibrationFile, LoadEstimate, zeroed_at
 
 POINTER_COM, RETRACTOR_COM = (0.055, 0.002, 0.045), (0.07, -0.01, 0.055)
 
@@ -14,6 +15,8 @@ def tool_file(mass_kg=0.2, com_m=RETRACTOR_COM, name="retractor", std=1e-5, **fi
         "rmse": np.zeros(6),
         "poses_used": 56,
         "calibrated_at": "2026-01-01T00:00:00+00:00",
+        "arm": GALEN,
+        "zeroing": zeroed_at(arm=GALEN),
     }
     return CalibrationFile(
         tool=name,

@@ -6,6 +6,7 @@ from galen_gravcomp.compensator import Compensator
 from galen_gravcomp.corrections import bias_drift as bias_drift_module
 from galen_gravcomp.corrections.bias_drift import BiasDrift, BiasDriftState
 from galen_gravcomp.parameters import GravcompParameters
+from galen_model.arm.galen import GALEN
 from untouched_arm import UntouchedArm, push, tool_file
 
 FORCE_5N = 5.0 * np.array([0.6, 0.64, 0.48])
@@ -18,7 +19,7 @@ class Watched:
     """A bias drift with all that it took off."""
 
     def __init__(self, **arm):
-        self.bias_drift = BiasDrift(enabled=True)
+        self.bias_drift = BiasDrift(enabled=True, arm=GALEN)
         self.taken = [np.zeros(6)]
         self.arm = UntouchedArm(self._take, **arm)
 
@@ -97,7 +98,7 @@ def test_a_push_is_not_learned_as_a_whole_however_it_begins(force_n, begins):
 
 def test_switching_off_ramps_also_after_a_pause_of_what_it_is_fed():
     """As where a cable's pull is not known: samples go out, the bias drift sees none."""
-    bias_drift = BiasDrift(enabled=True)
+    bias_drift = BiasDrift(enabled=True, arm=GALEN)
     bias_drift._newest_ns = 1_000_000_000
     bias_drift._ramp.start(0, np.full(6, 0.1))
     period_ns = 10_000_000
@@ -155,7 +156,9 @@ def test_limit_freezes_warns_and_a_tare_begins_anew(monkeypatch):
 
 @pytest.mark.slow
 def test_a_tare_does_not_count_twice_and_nothing_jumps():
-    compensator = Compensator(GravcompParameters(bias_drift=True, calibration_monitor=False))
+    compensator = Compensator(
+        GravcompParameters(bias_drift=True, calibration_monitor=False), arm=GALEN
+    )
     tool = tool_file()
     compensator.set_tool(tool)
     out, outcomes = [], []

@@ -19,7 +19,7 @@ class Watched:
     """A monitor with every verdict that it had: (time, cause)."""
 
     def __init__(self, **arm):
-        self.watch = CalibrationMonitor()
+        self.watch = CalibrationMonitor(arm=GALEN)
         self.states = []
         self.arm = UntouchedArm(self._take, **arm)
         self.watch.set_tool(self.arm.file)
@@ -143,7 +143,7 @@ def test_a_tare_in_the_first_stop_s_first_moments_is_no_end():
 
 
 def test_the_node_s_state_warns_of_it_and_a_bad_file_is_worse():
-    compensator = Compensator(GravcompParameters(late_s=0.0))
+    compensator = Compensator(GravcompParameters(late_s=0.0), arm=GALEN)
     monitor = Monitor(compensator)
     tool = tool_file()
     compensator.set_tool(tool)
@@ -180,7 +180,7 @@ def test_a_pull_is_told_from_hands_by_poses_near_each_other():
     pull *= np.repeat([1.0, 0.04], 3)
     quiet = tool_file()
     quiet.rmse[:] = 0.0
-    evidence = FitEvidence(quiet)
+    evidence = FitEvidence(quiet, arm=GALEN)
     std = np.full((14, 6), 1e-3) * np.repeat([1.0, 0.04], 3)
 
     def odds(mean, order):
@@ -206,7 +206,7 @@ def test_a_pull_is_told_from_hands_by_poses_near_each_other():
 def test_evidence_is_the_density_of_the_stops():
     """Against scipy's normal density of all stops at once, with the parameters summed out."""
     tool = tool_file()
-    evidence = FitEvidence(tool)
+    evidence = FitEvidence(tool, arm=GALEN)
     rng = np.random.default_rng(0)
     angles = rng.uniform(-0.8, 0.8, (3, 2))
     gravity = GALEN.gravity_in_sensor(angles)

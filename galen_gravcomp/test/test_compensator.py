@@ -12,6 +12,7 @@ from calibration_files import pointer
 from galen_gravcomp.compensator import Compensator, TareRejectedError
 from galen_gravcomp.corrections.tare import TareRamp
 from galen_gravcomp.parameters import GravcompParameters
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_ros.stream.samples import Notice, PairedWrench, Rejected, Rejection, Result
 
@@ -25,7 +26,7 @@ PUSH = np.array([1.0, -2.0, 3.0, 0.1, -0.2, 0.3])
 
 
 def loaded(**settings: object) -> Compensator:
-    compensator = Compensator(GravcompParameters(**settings))  # type: ignore[arg-type]
+    compensator = Compensator(GravcompParameters(**settings), arm=GALEN)  # type: ignore[arg-type]
     compensator.set_tool(TOOL)
     return compensator
 
@@ -131,7 +132,7 @@ def test_waits_no_longer_than_max_joint_age() -> None:
 
 
 def test_no_tool() -> None:
-    compensator = Compensator()
+    compensator = Compensator(arm=GALEN)
     compensator.push_joints(START, (0.0, 0.0))
     (result,) = compensator.push_wrench(START, PUSH)
     assert isinstance(result, Rejected) and result.reason is Rejection.NO_TOOL
@@ -365,7 +366,7 @@ def test_second_tare_starts_from_the_offset_active() -> None:
 
 
 def test_tare_that_cannot_start() -> None:
-    compensator = Compensator()
+    compensator = Compensator(arm=GALEN)
     with pytest.raises(TareRejectedError, match="no tool"):
         start_tare(compensator)
     compensator.set_tool(TOOL)
@@ -437,7 +438,7 @@ def test_tare_survives_off_and_on() -> None:
 def test_nothing_leaks_across_a_restart(jump_ns: int, first: str) -> None:
     """New joints, no old tare, no waiting wrench: also where the new stamps fall among the old."""
     why: list[str] = []
-    compensator = Compensator(on_restart=why.append)
+    compensator = Compensator(on_restart=why.append, arm=GALEN)
     compensator.set_tool(TOOL)
     rig = Rig(compensator)
     rig.touch = LEFT

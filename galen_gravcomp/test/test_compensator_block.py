@@ -12,6 +12,7 @@ from calibration_files import pointer
 from galen_gravcomp.compensator import Compensator, TareRejectedError
 from galen_gravcomp.corrections import tare as tare_module
 from galen_gravcomp.parameters import GravcompParameters
+from galen_model.arm.galen import GALEN
 from galen_model.files.calibration_file import CalibrationFile
 from galen_ros.stream import pairing as pairing_module
 from galen_ros.stream.samples import (
@@ -266,7 +267,8 @@ def make_way(
                 tare_ramp_s=0.03,
                 tare_max_force_n=99.0,
                 tare_max_torque_nm=99.0,
-            )
+            ),
+            arm=GALEN,
         )
     )
     pairing = way.compensator.pairing

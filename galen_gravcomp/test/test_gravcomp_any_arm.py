@@ -29,7 +29,7 @@ class World:
 
     def __init__(self, harness: Harness, tools_dir: Path, **values) -> None:
         arm = read_arm(URDF, sensor_frame=SENSOR)
-        self.tool = tool_file(arm=arm, zeroing=zeroed_at(JOINTS * 0.0, arm))
+        self.tool = tool_file(arm=arm, zeroing=zeroed_at(JOINTS * 0.0, arm=arm))
         write_calibration(calibration_path(tools_dir, "retractor"), self.tool)
         self.harness, self.outputs, self.reports = harness, [], []
         self.peer = harness.add(lambda context: Node("peer", context=context))

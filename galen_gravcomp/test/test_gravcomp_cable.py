@@ -25,7 +25,7 @@ def a_drag(form="point", seed=0):
     roll, tilt = np.meshgrid(np.linspace(-1.0, 1.0, 5), np.linspace(-0.8, 0.8, 4), indexing="ij")
     joints = np.tile(GALEN.home, (20, 1))
     joints[:, 3], joints[:, 4] = roll.ravel(), tilt.ravel()
-    matrices = form_matrices("point_and_couple", joints, AT)
+    matrices = form_matrices("point_and_couple", joints, AT, arm=GALEN)
     force = np.array([0.2, -0.15, 0.1]) + 0.05 * np.sin(joints[:, 3:4] + [0.0, 1.0, 2.0])
     couple = 0.005 * np.cos(joints[:, 4:] + [0.0, 1.0, 2.0])
     wrench = np.einsum("gnkl,gnl->nk", matrices, np.array([force, couple]))
@@ -79,7 +79,7 @@ def test_the_fast_way_is_the_posteriors(form):
     drag = a_drag(form)
     rng = np.random.default_rng(1)
     joints = GALEN.home + rng.uniform(-1.0, 1.0, (300, 5)) * [0.15, 0.05, 0.05, 1.6, 1.2]
-    pull, expected = CablePull(drag), drag.posterior.readings(joints)
+    pull, expected = CablePull(drag, arm=GALEN), drag.posterior.readings(joints)
     found = np.array([pull.reading(tuple(q)) for q in joints.tolist()])
     assert np.abs(found - expected).max() < 1e-12
     assert np.abs(pull.readings(joints) - expected).max() < 1e-12
@@ -97,14 +97,14 @@ def test_the_fast_way_is_the_posteriors(form):
 def test_one_by_one_and_as_arrays_it_is_the_same_and_gone_where_it_was_seen():
     tool, joints = a_tool(a_drag()), motion()
     raw = raw_of(tool, joints)
-    single = Compensator()
+    single = Compensator(arm=GALEN)
     single.set_tool(tool)
     assert single.needs_positions and single.pairs_positions
     results = one_by_one(single, joints, raw)
     wrench = np.array([result.wrench for result in results if isinstance(result, PairedWrench)])
     stamps = [result.stamp_ns for result in results if isinstance(result, PairedWrench)]
 
-    block = Compensator(GravcompParameters(calibration_monitor=False))
+    block = Compensator(GravcompParameters(calibration_monitor=False), arm=GALEN)
     block.set_tool(tool)
     kinds, joint_rows = [], np.arange(len(joints))
     for row in range(len(joints) + 1):
@@ -136,7 +136,7 @@ def test_a_push_comes_out_as_it_went_in():
     push = np.array([5.0, -5.0, 5.0, 0.2, 0.1, -0.1])
     outputs = []
     for size in (0.0, 1.0):
-        compensator = Compensator()
+        compensator = Compensator(arm=GALEN)
         compensator.set_tool(tool)
         results = one_by_one(compensator, joints, raw_of(tool, joints, size * push))
         outputs.append(np.array([r.wrench for r in results if isinstance(r, PairedWrench)]))
@@ -146,7 +146,7 @@ def test_a_push_comes_out_as_it_went_in():
 
 def test_a_tool_with_a_cable_and_one_without_follow_each_other():
     plain, corded = a_tool(), a_tool(a_drag())
-    compensator = Compensator()
+    compensator = Compensator(arm=GALEN)
     compensator.set_tool(plain)
     q = GALEN.home.tolist()
 
@@ -171,7 +171,7 @@ def test_a_tool_with_a_cable_and_one_without_follow_each_other():
 
 
 def test_outside_is_told_on_diagnostics():
-    compensator = Compensator(GravcompParameters(late_s=0.0))
+    compensator = Compensator(GravcompParameters(late_s=0.0), arm=GALEN)
     monitor = Monitor(compensator)
     compensator.set_tool(a_tool(a_drag()))
     for number, (away, state) in enumerate(((0.0, "compensating"), (0.3, "cable_outside"))):

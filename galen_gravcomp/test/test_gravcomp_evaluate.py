@@ -64,7 +64,7 @@ def test_a_column_of_temperatures_explains_the_drift_that_goes_with_it(tmp_path,
     drifted = wrench + 10.0 * NOISE * (kelvin - 300.0)[:, None]
     rows = np.column_stack([drifted, roll, tilt, kelvin])
     path = write(tmp_path / "warm.csv", [*WRENCH, "roll", "tilt", "temperature_k"], rows)
-    table = read_table(path)
+    table = read_table(path, arm=GALEN)
     np.testing.assert_allclose(table.temperature_c, kelvin - 273.15)
     result = evaluate_table(table)
     assert "temperature" in result.chosen.words
@@ -72,7 +72,7 @@ def test_a_column_of_temperatures_explains_the_drift_that_goes_with_it(tmp_path,
     both = write(tmp_path / "both.csv", [*WRENCH, "roll", "tilt", "temp", "temperature"],
                  np.column_stack([rows, kelvin]))  # fmt: skip
     with pytest.raises(GalenError, match="2 columns of temperatures"):
-        read_table(both)
+        read_table(both, arm=GALEN)
 
 
 def test_every_form_of_orientation_reads_the_same(tmp_path, readings):
@@ -88,7 +88,7 @@ def test_every_form_of_orientation_reads_the_same(tmp_path, readings):
             path = write(
                 tmp_path / "t.csv", names + WRENCH, np.hstack([columns, wrench]), separator
             )
-            table = read_table(path)
+            table = read_table(path, arm=GALEN)
             assert table.orientation == kind
             np.testing.assert_allclose(table.gravity, gravity, atol=1e-9)
             np.testing.assert_allclose(table.wrench, wrench)
@@ -99,11 +99,11 @@ def test_wrenches_in_the_base_are_turned_back(tmp_path, readings):
     in_base = np.hstack([np.einsum("nij,nj->ni", rotation, w) for w in np.split(wrench, 2, axis=1)])
     columns = np.hstack([matrix_to_quaternion(rotation), in_base])
     path = write(tmp_path / "t.txt", None, columns)
-    table = read_table(path, ["qx", "qy", "qz", "qw", *WRENCH], wrench_frame="base")
+    table = read_table(path, ["qx", "qy", "qz", "qw", *WRENCH], wrench_frame="base", arm=GALEN)
     np.testing.assert_allclose(table.wrench, wrench, atol=1e-12)
     path = write(tmp_path / "g.csv", ["gx", "gy", "gz", *WRENCH], np.hstack([gravity, wrench]))
     with pytest.raises(GalenError, match=r"wrenches in the base need"):
-        read_table(path, wrench_frame="base")
+        read_table(path, wrench_frame="base", arm=GALEN)
 
 
 @pytest.mark.parametrize(
@@ -143,20 +143,20 @@ def test_tables_as_others_write_them_read_the_same(tmp_path, readings):
     path = tmp_path / "units.csv"
     header = "Fx [N],Fy [N],Fz [N],Tx [N.mm],Ty [N.mm],Mz (Nmm),gx,gy,gz"
     path.write_text("\n".join([header, *lines, "nan" + lines[0][lines[0].index(",") :]]))
-    read = read_table(path)
+    read = read_table(path, arm=GALEN)
     np.testing.assert_allclose(read.wrench, wrench, atol=1e-12)
     assert read.left_out == 1
     german = "\n".join([header, *lines]).replace(",", ";").replace(".", ",").replace("N,mm", "N.mm")
     path.write_text(german)
-    np.testing.assert_allclose(read_table(path).wrench, wrench, atol=1e-12)
+    np.testing.assert_allclose(read_table(path, arm=GALEN).wrench, wrench, atol=1e-12)
     names = "% [gx, gy, gz, fx, fy, fz, tx, ty, tz]"
     rows = [" ".join(map(repr, row)) for row in np.hstack([gravity, wrench]).tolist()]
     path.write_text("\n".join(["% gravity and f/t readings", names, *rows]))
-    np.testing.assert_allclose(read_table(path).gravity, gravity, atol=1e-12)
+    np.testing.assert_allclose(read_table(path, arm=GALEN).gravity, gravity, atol=1e-12)
     euler = Rotation.from_matrix(rotation).as_euler("xyz", degrees=True)
     rows = [",".join(map(repr, row)) for row in np.hstack([wrench, euler]).tolist()]
     path.write_text("\n".join(["fx,fy,fz,tx,ty,tz,roll [deg],pitch [deg],yaw [deg]", *rows]))
-    np.testing.assert_allclose(read_table(path).rotation, rotation, atol=1e-9)
+    np.testing.assert_allclose(read_table(path, arm=GALEN).rotation, rotation, atol=1e-9)
 
 
 def test_a_table_has_a_verdict_and_a_wrong_set_up_writes_no_file(tmp_path, readings, capsys):
@@ -301,7 +301,9 @@ def test_a_table_too_short_to_split_is_said(tmp_path, capsys, count):
 @needs_shared
 def test_kuka_ati_gamma_gives_the_known_load():
     """0.932 kg, centre z 43.9 mm: computed independently for the data's description."""
-    result = evaluate_table(read_table(SHARED / "kuka_ati_gamma" / "0-calibration_fts-accel.csv"))
+    result = evaluate_table(
+        read_table(SHARED / "kuka_ati_gamma" / "0-calibration_fts-accel.csv", arm=GALEN)
+    )
     assert result.fit.load.mass_kg == pytest.approx(0.932, abs=0.002)
     assert result.fit.load.com_m[2] == pytest.approx(0.0439, abs=0.0003)
     for models in result.scores.values():
@@ -311,7 +313,9 @@ def test_kuka_ati_gamma_gives_the_known_load():
 @needs_shared
 def test_axia80_over_time_gives_the_known_weight():
     table = read_table(
-        SHARED / "axia80" / "GP2025-07-22-22-06-02.txt", ["t", *WRENCH, "qx", "qy", "qz", "qw"]
+        SHARED / "axia80" / "GP2025-07-22-22-06-02.txt",
+        ["t", *WRENCH, "qx", "qy", "qz", "qw"],
+        arm=GALEN,
     )
     result = evaluate_table(table, average_window_s=1.0)
     assert result.phases == 6
@@ -346,8 +350,8 @@ def test_a_tool_file_from_a_table_reads_what_the_fit_reads(tmp_path, readings, k
     table = write(tmp_path / "t.csv", names + WRENCH, np.hstack([columns, wrench]), ",")
     path = tmp_path / "tools" / "gripper.json"
     assert main([str(table), "--write-tool", str(path), "--json"]) == 0
-    tool = read_calibration(path)
-    fit = evaluate_table(read_table(table)).fit
+    tool = read_calibration(path, arm=GALEN)
+    fit = evaluate_table(read_table(table, arm=GALEN)).fit
     under = gravity * (local if kind == "gravity" else 1.0)
     assert tool.predict(np.stack([roll, tilt], axis=-1)) == pytest.approx(
         fit.predict(under), rel=1e-12, abs=1e-12

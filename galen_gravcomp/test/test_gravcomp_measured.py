@@ -8,6 +8,7 @@ from galen_bags.arrays.arm_recording import read_arm
 from galen_bags.convert import main as convert
 from galen_gravcomp.compensator import Compensator, PairedWrench
 from galen_gravcomp.evaluate.command import main as evaluate
+from galen_model.arm.galen import GALEN
 from galen_model.files.calibration_file import read_calibration
 
 KUKA = Path(__file__).resolve().parents[3] / "shared" / "data" / "real" / "kuka_ati_gamma"
@@ -35,9 +36,9 @@ def offline(bag, file):
     """What the compensator makes of the recording: stamps, wrenches, and how many of them there
     are after each message.
     """
-    compensator = Compensator()
-    compensator.set_tool(read_calibration(file))
-    recording = read_arm(bag)
+    compensator = Compensator(arm=GALEN)
+    compensator.set_tool(read_calibration(file, arm=GALEN))
+    recording = read_arm(bag, arm=GALEN)
     samples = [
         *((log, 0, k) for k, log in enumerate(recording.joint_log_ns.tolist())),
         *((log, 1, k) for k, log in enumerate(recording.wrench_log_ns.tolist())),
@@ -62,7 +63,7 @@ def rms(values):
 def test_the_static_model_leaves_the_forces_of_acceleration(baseline):
     bag, file = baseline
     stamps, wrenches, _ = offline(bag, file)
-    raw = read_arm(bag)
+    raw = read_arm(bag, arm=GALEN)
     assert len(stamps) == 4370  # the last orientation is 7 ms older than the last wrench
     assert rms(raw.wrenches)[0] == pytest.approx(12.84, abs=0.02)
     # 1.2 N along x is known of this run, from elsewhere

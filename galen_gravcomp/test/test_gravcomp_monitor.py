@@ -5,6 +5,7 @@ from calibration_files import pointer
 from galen_gravcomp.compensator import Compensator
 from galen_gravcomp.monitor import Monitor
 from galen_gravcomp.parameters import GravcompParameters
+from galen_model.arm.galen import GALEN
 from galen_ros.stream.monitor import HOLD_S, Severity
 from galen_ros.stream.samples import Notice, PairedWrench, Rejected, Rejection
 
@@ -19,7 +20,9 @@ class Rig:
 
     def __init__(self) -> None:
         self.compensator = Compensator(
-            GravcompParameters(late_s=0.0), lambda why: self.monitor.on_restart(why, self.t)
+            GravcompParameters(late_s=0.0),
+            lambda why: self.monitor.on_restart(why, self.t),
+            arm=GALEN,
         )
         self.monitor = Monitor(self.compensator)
         self.t = 1000.0

@@ -19,7 +19,7 @@ FIRST = 13
 
 
 def compensator(parameters=PARAMETERS, **settings):
-    made = Compensator(replace(parameters, **settings))
+    made = Compensator(replace(parameters, **settings), arm=GALEN)
     made.set_tool(tool_file())
     return made
 

@@ -10,6 +10,7 @@ from galen_gravcomp.compensator import Compensator
 from galen_gravcomp.evaluate.command import main
 from galen_gravcomp.evaluate.table_scores import evaluate_table, table_prediction, tool_from_table
 from galen_gravcomp.parameters import GravcompParameters
+from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
 from galen_model.evidence.block_gain import MOUNTED, PLAIN
 from galen_model.files.calibration_file import read_calibration
@@ -19,7 +20,8 @@ from galen_ros.stream.samples import PairedWrench
 from sample_blocks import topic
 from scipy.spatial.transform import Rotation
 
-TURNED = Mounting(
+TURNED = replace(
+    Mounting.of(GALEN),
     sensor_rotvec_rad=np.array([0.1, -0.2, 0.15]),
     axis_gain=np.array([0.02, -0.03, 0.01, 0.04, -0.02, 0.03]),
     base_inclination_rad=np.array([0.05, -0.08]),
@@ -43,7 +45,7 @@ def sensed(wrench):
 
 @pytest.mark.parametrize("tool", [TOOL, replace(TOOL, mounting=None)])
 def test_the_fast_prediction_is_the_tools_own(tool):
-    prediction = Prediction(tool)
+    prediction = Prediction(tool, arm=GALEN)
     angles = np.random.default_rng(0).uniform(-4.0, 4.0, (40, 2))
     expected = tool.predict(angles)
     np.testing.assert_allclose(prediction.readings(angles), expected, atol=1e-13)
@@ -58,7 +60,7 @@ def test_a_push_on_a_mismounted_sensor_comes_out_right_one_by_one_and_in_blocks(
     stamps = 10**9 + step * np.arange(count)
     angles = np.cumsum(rng.normal(size=(count, 2)), axis=0) * 1e-3 + [0.4, -0.3]
     raw = TOOL.predict(angles) + sensed(PUSH)
-    single = Compensator()
+    single = Compensator(arm=GALEN)
     single.set_tool(TOOL)
     out = []
     for stamp, (roll, tilt), reading in zip(stamps.tolist(), angles, raw, strict=True):
@@ -66,7 +68,7 @@ def test_a_push_on_a_mismounted_sensor_comes_out_right_one_by_one_and_in_blocks(
         out += single.push_wrench(stamp, reading)
     wrenches = np.array([one.wrench for one in out if isinstance(one, PairedWrench)])
     np.testing.assert_allclose(wrenches, np.tile(PUSH, (count, 1)), atol=1e-12)
-    block = Compensator(GravcompParameters(calibration_monitor=False))
+    block = Compensator(GravcompParameters(calibration_monitor=False), arm=GALEN)
     block.set_tool(TOOL)
     result = block.push_block(
         np.tile([False, True], count), topic(stamps, angles), topic(stamps, raw)
@@ -99,7 +101,7 @@ def table(tmp_path):
 
 
 def test_a_model_with_the_mounting_wins_on_held_out_readings_of_a_turned_sensor(table):
-    readings = read_table(table)
+    readings = read_table(table, arm=GALEN)
     readings = replace(readings, block=np.arange(len(readings)) * 4 // len(readings))
     result = evaluate_table(readings, mounting=("sensor_rotation",))
     found, scores = result.mounted, result.scores["leave one block out"]
@@ -122,7 +124,7 @@ def test_the_command_shows_the_mounting_beside_the_other_models(tmp_path, capsys
     arguments = [str(path), "--estimate", "sensor_rotation"]
     assert main([*arguments, "--write-tool", str(file)]) == 0
     assert "the mounting's parameters pay" in " ".join(capsys.readouterr().out.split())
-    assert read_calibration(file).mounting.estimated == ("sensor_rotation",)
+    assert read_calibration(file, arm=GALEN).mounting.estimated == ("sensor_rotation",)
 
 
 def test_a_table_rejects_what_it_can_not_tell(table, capsys):
@@ -134,18 +136,18 @@ def test_a_table_rejects_what_it_can_not_tell(table, capsys):
         main([table, "--estimate", "everything"])
     assert "'everything' can't be estimated" in capsys.readouterr().err
     with pytest.raises(GalenError, match="holds zeros of joints"):
-        table_prediction(TOOL, read_table(table))
+        table_prediction(TOOL, read_table(table, arm=GALEN))
 
 
 def test_an_inclined_base_is_followed_in_a_table_of_angles(tmp_path):
-    only = Mounting(base_inclination_rad=np.array([0.05, -0.08]))
+    only = replace(Mounting.of(GALEN), base_inclination_rad=np.array([0.05, -0.08]))
     tool = replace(TOOL, mounting=only, gravity_m_s2=np.array([0.0, 0.0, -9.80665]))
     path = tmp_path / "angles.csv"
     roll, tilt = np.random.default_rng(3).uniform(-1.0, 0.9, (2, 16))
     wrench = tool.predict(np.stack([roll, tilt], axis=-1))
     rows = np.column_stack([wrench, roll, tilt])
     np.savetxt(path, rows, delimiter=",", header="fx,fy,fz,tx,ty,tz,roll,tilt", comments="")
-    readings = read_table(path)
+    readings = read_table(path, arm=GALEN)
     np.testing.assert_allclose(table_prediction(tool, readings), wrench, atol=1e-9)
     level = replace(readings, rotation=None)
     with pytest.raises(GalenError, match="inclination of the base, which needs"):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from galen_gravcomp.compensator import Compensator
 from galen_gravcomp.monitor import Monitor
+from galen_model.arm.galen import GALEN
 from galen_ros.stream.monitor import NOTICE_HOLD_S, Severity
 from galen_ros.stream.watches import LateWatch
 from untouched_arm import tool_file
@@ -83,7 +84,7 @@ class Feed:
     """A monitor that takes outputs, 10 ms apart."""
 
     def __init__(self):
-        compensator = Compensator()
+        compensator = Compensator(arm=GALEN)
         compensator.set_tool(tool_file())
         self.monitor = Monitor(compensator)
         self.t = 100.0

@@ -1,7 +1,8 @@
 """Calibration files for tests."""
 
 import numpy as np
-from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
+from galen_model.arm.galen import GALEN
+from galen_model.files.calibration_file import CalibrationFile, LoadEstimate, zeroed_at
 from galen_model.load.model import ADAPTER, TOOLS
 
 COVARIANCE = np.diag([1e-8, 1e-9, 1e-9, 1e-9])
@@ -17,5 +18,7 @@ def calibration(tool: str = "pointer", mass_kg: float = 0.06, **changes) -> Cali
         "rmse": np.full(6, 1e-3),
         "poses_used": 56,
         "calibrated_at": "2026-11-21T12:00:00+00:00",
+        "arm": GALEN,
+        "zeroing": zeroed_at(arm=GALEN),
     }
     return CalibrationFile(tool, **{**fields, **changes})

@@ -47,7 +47,7 @@ def calibrated(
     file = CalibrationFile(
         tool=name, load=load, adapter=adapter, tip_m=np.zeros(3), rmse=np.zeros(6), poses_used=20,
         calibrated_at="2026-01-01T00:00:00+00:00", arm=ARM,
-        zeroing=zeroed_at(np.full(6, 0.3), ARM),
+        zeroing=zeroed_at(np.full(6, 0.3), arm=ARM),
         residual_offset=np.array([0.1, 0.2, 0.3, 0.01, 0.02, 0.03]),
     )  # fmt: skip
     if own_inertia is None:
@@ -67,7 +67,7 @@ def body(frame: str, tool: CalibrationFile = TOOL) -> pinocchio.Inertia:
     ]
     whole = parts[0] + parts[1]
     whole = pinocchio.Inertia(whole.mass, whole.lever, OWN_INERTIA)
-    place = sensor_in_frame(frame or "ft_sensor", tool.tip_m, None, ARM)
+    place = sensor_in_frame(frame or "ft_sensor", tool.tip_m, None, arm=ARM)
     return pinocchio.SE3(place.rotation, place.origin_m).act(whole)
 
 
@@ -171,7 +171,7 @@ def test_the_filter_of_control_toolbox_leaves_only_the_constant_that_the_text_na
     assert tool["gravity_field"] == [0.0, 0.0, -9.80665]
     constant = re.search(r"reads \((.*?)\) N", text)
     assert constant is not None
-    place = sensor_in_frame(params["sensor_frame"], TOOL.tip_m, None, ARM)
+    place = sensor_in_frame(params["sensor_frame"], TOOL.tip_m, None, arm=ARM)
     for angles in np.random.default_rng(2).uniform(-2.0, 2.0, (5, 6)):
         gravity = ARM.gravity_in_sensor(angles)
         reading = TOOL.predict_under(gravity) - numbers(constant[1])

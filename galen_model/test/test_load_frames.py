@@ -25,7 +25,7 @@ COVARIANCE = np.cov(
 LOAD = LoadEstimate(0.2, np.array([0.07, -0.01, 0.055]), COVARIANCE)
 
 
-@pytest.mark.parametrize("frame", frames())
+@pytest.mark.parametrize("frame", frames(arm=GALEN))
 def test_frames_are_those_of_the_urdf(frame: str) -> None:
     arm, rng = PinocchioArm(TIP_M), np.random.default_rng(7)
     for _ in range(20):
@@ -33,8 +33,8 @@ def test_frames_are_those_of_the_urdf(frame: str) -> None:
         sensor_rotation, sensor_origin = arm.pose(joints, "ft_sensor")
         rotation, origin = arm.pose(joints, frame)
         # Only the joints that the frame needs are given: the others can't matter.
-        known = [name in needed_joints(frame) for name in GALEN.joint_names]
-        place = sensor_in_frame(frame, TIP_M, np.where(known, joints, np.nan))
+        known = [name in needed_joints(frame, arm=GALEN) for name in GALEN.joint_names]
+        place = sensor_in_frame(frame, TIP_M, np.where(known, joints, np.nan), arm=GALEN)
         np.testing.assert_allclose(place.rotation, rotation.T @ sensor_rotation, atol=1e-12)
         np.testing.assert_allclose(
             place.origin_m, rotation.T @ (sensor_origin - origin), atol=1e-12
@@ -43,12 +43,12 @@ def test_frames_are_those_of_the_urdf(frame: str) -> None:
         np.testing.assert_allclose(rotation @ tip + origin, tip_origin, atol=1e-12)
 
 
-@pytest.mark.parametrize("frame", frames())
+@pytest.mark.parametrize("frame", frames(arm=GALEN))
 def test_the_weight_pulls_at_the_centre_in_every_frame(frame: str) -> None:
     """The weight's wrench, moved to the frame, is the centre there crossed with the force there."""
     joints = np.array([0.05, -0.03, 0.45, 0.7, -0.4])
     rotation = PinocchioArm(TIP_M).pose(joints, frame)[0]
-    place = sensor_in_frame(frame, TIP_M, joints)
+    place = sensor_in_frame(frame, TIP_M, joints, arm=GALEN)
     wrench = place.wrench(gravity_wrench(GALEN.gravity_in_sensor((0.7, -0.4)), LOAD.load))
     force = LOAD.mass_kg * rotation.T @ GRAVITY_M_S2
     np.testing.assert_allclose(wrench[:3], force, atol=1e-12)
@@ -57,7 +57,7 @@ def test_the_weight_pulls_at_the_centre_in_every_frame(frame: str) -> None:
 
 def test_the_covariance_is_that_of_the_moved_estimates() -> None:
     """Estimates drawn in the sensor's frame and moved one by one scatter as it says."""
-    place = sensor_in_frame("base_link", TIP_M, np.array([0.05, -0.03, 0.45, 0.7, -0.4]))
+    place = sensor_in_frame("base_link", TIP_M, np.array([0.05, -0.03, 0.45, 0.7, -0.4]), arm=GALEN)
     rng = np.random.default_rng(11)
     drawn = rng.multivariate_normal([LOAD.mass_kg, *LOAD.com_m], COVARIANCE, size=20000)
     moved = np.column_stack([drawn[:, 0], [place.point(com) for com in drawn[:, 1:]]])
@@ -71,16 +71,16 @@ def test_the_covariance_is_that_of_the_moved_estimates() -> None:
 
 def test_what_lacks_is_named() -> None:
     with pytest.raises(FrameError, match="no frame 'tool0'; there are ft_sensor, tool_tip"):
-        sensor_in_frame("tool0", TIP_M)
+        sensor_in_frame("tool0", TIP_M, arm=GALEN)
     with pytest.raises(FrameNeedsJointsError, match="'roll_link' depends on tilt; unknown: tilt"):
-        sensor_in_frame("roll_link", TIP_M)
+        sensor_in_frame("roll_link", TIP_M, arm=GALEN)
     with pytest.raises(FrameNeedsJointsError, match=r"unknown: delta_x, delta_y, delta_z$"):
-        sensor_in_frame("base_link", TIP_M, joint_vector([0.1, 0.2]))
+        sensor_in_frame("base_link", TIP_M, joint_vector([0.1, 0.2], arm=GALEN), arm=GALEN)
     for wrong in ([0.1], [0.1] * 3, [0.1, np.nan]):
         with pytest.raises(FrameNeedsJointsError, match="or roll, tilt alone"):
-            joint_vector(wrong)
-    np.testing.assert_array_equal(joint_vector([0.1, 0.2]), [np.nan] * 3 + [0.1, 0.2])
-    np.testing.assert_array_equal(joint_vector(GALEN.home.tolist()), GALEN.home)
+            joint_vector(wrong, arm=GALEN)
+    np.testing.assert_array_equal(joint_vector([0.1, 0.2], arm=GALEN), [np.nan] * 3 + [0.1, 0.2])
+    np.testing.assert_array_equal(joint_vector(GALEN.home.tolist(), arm=GALEN), GALEN.home)
 
 
 SIX_AXIS = (Path(__file__).parents[2] / "galen_bringup/urdf/six_axis.urdf").read_text()
@@ -106,13 +106,13 @@ def test_frames_that_fixed_joints_carry_are_those_of_the_description() -> None:
     for frame in set(frames(arm)) - {"tool_tip"}:
         known = [name in needed_joints(frame, arm) for name in arm.joint_names]
         given = np.where(known, joints[: len(known)], np.nan)
-        place = sensor_in_frame(frame, TIP_M, given, arm)
+        place = sensor_in_frame(frame, TIP_M, given, arm=arm)
         expected = data.oMf[model.getFrameId(frame)].actInv(sensor)
         np.testing.assert_allclose(place.rotation, expected.rotation, atol=1e-12)
         np.testing.assert_allclose(place.origin_m, expected.translation, atol=1e-12)
     with pytest.raises(
         FrameError, match="'finger' hangs on the joint 'grip', which is not between"
     ):
-        sensor_in_frame("finger", TIP_M, None, arm)
+        sensor_in_frame("finger", TIP_M, None, arm=arm)
     with pytest.raises(FrameError, match=r"no frame 'flange'; there are ft_sensor.*tool0"):
-        sensor_in_frame("flange", TIP_M, None, arm)
+        sensor_in_frame("flange", TIP_M, None, arm=arm)

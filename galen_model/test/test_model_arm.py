@@ -71,6 +71,7 @@ def test_a_reading_worked_out_by_hand(roll_deg, tilt_deg, gravity):
         np.radians([roll_deg, tilt_deg]),
         TOOLS["pointer"].load,
         ADAPTER,
+        arm=GALEN,
     )
     # tool: 60 g at (55, 2, 45) mm; adapter: 100 g at (0, 0, 20) mm; zeroed level with it
     force = [0.160 * x - 0.980665, 0.160 * y, 0.160 * z]

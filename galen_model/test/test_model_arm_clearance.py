@@ -20,7 +20,7 @@ SIDE = [0.5, 0.08, 0.2, 0.9, 0.5, 0.44]
 
 
 def clearance(*boxes, tip=TIP):
-    return ArmClearance(boxes_from_numbers(np.ravel(boxes)), CLEARANCE, tip)
+    return ArmClearance(boxes_from_numbers(np.ravel(boxes)), CLEARANCE, tip, arm=GALEN)
 
 
 def at(roll, tilt):

@@ -95,16 +95,18 @@ def test_a_force_at_a_point_reads_as_a_wrench_moved_from_there():
     rotation, _ = GALEN.sensor_pose(joints)
     rng = np.random.default_rng(1)
     force, couple = rng.normal(size=(2, 3))
-    matrices = form_matrices("point_and_couple", joints, AT)
+    matrices = form_matrices("point_and_couple", joints, AT, arm=GALEN)
     for pose in range(5):
         at_point = move_wrench(np.concatenate([force, couple]), rotation[pose].T, np.zeros(3))
         expected = move_wrench(at_point, np.eye(3), AT)
         found = matrices[0, pose] @ force + matrices[1, pose] @ couple
         assert np.abs(found - expected).max() < 1e-14
     step = 1e-6
-    for axis, derivative in enumerate(attachment_derivatives("point", joints)):
+    for axis, derivative in enumerate(attachment_derivatives("point", joints, arm=GALEN)):
         moved = AT + step * np.eye(3)[axis]
-        change = form_matrices("point", joints, moved) - form_matrices("point", joints, AT)
+        change = form_matrices("point", joints, moved, arm=GALEN) - form_matrices(
+            "point", joints, AT, arm=GALEN
+        )
         assert np.abs(change[0] / step - derivative).max() < 1e-8
 
 
@@ -136,7 +138,7 @@ def test_the_pull_is_the_conditional_mean_and_covariance_of_the_process():
     kernel = smooth_kernel(every, every, drag.posterior.lengths)
     prior = drag.amplitude[0] ** 2 * kernel + 1.0 + 1e-9 * np.eye(len(every))
     latent = np.kron(prior, np.eye(3))
-    matrices = form_matrices("point", every, drag.attachment_m)[0]
+    matrices = form_matrices("point", every, drag.attachment_m, arm=GALEN)[0]
     observe = np.zeros((6 * len(joints), 3 * len(every)))
     for pose in range(len(joints)):
         observe[6 * pose : 6 * pose + 6, 3 * pose : 3 * pose + 3] = matrices[pose]
@@ -269,17 +271,28 @@ def on(arm):
 
 def a_tool(drag):
     load = LoadEstimate(0.1, np.array([0.01, 0.0, 0.02]), 1e-8 * np.eye(4))
-    return CalibrationFile("pen", load, load, AT, np.zeros(6), 56, WHEN, cable=drag)
+    return CalibrationFile(
+        "pen",
+        load,
+        load,
+        AT,
+        np.zeros(6),
+        56,
+        WHEN,
+        cable=drag,
+        arm=GALEN,
+        zeroing=zeroed_at(arm=GALEN),
+    )
 
 
 def test_a_tools_file_keeps_it_and_reads_it_back(learned, tmp_path):
     path, at = tmp_path / "pen.json", between(6)
     write_calibration(path, a_tool(learned.drag))
     assert path.stat().st_size < 60_000
-    drag = read_calibration(path).cable
+    drag = read_calibration(path, arm=GALEN).cable
     assert np.array_equal(drag.posterior.readings(at), learned.drag.posterior.readings(at))
     assert drag.inflation == learned.drag.inflation
-    write_calibration(path, replace(read_calibration(path), cable=None))
+    write_calibration(path, replace(read_calibration(path, arm=GALEN), cable=None))
     assert "cable" not in json.loads(path.read_text())
 
 
@@ -305,4 +318,4 @@ def test_a_file_that_was_tampered_with_is_rejected(learned, tmp_path, change, wo
     content["cable"] |= change
     path.write_text(json.dumps(content))
     with pytest.raises(CalibrationFileError, match=words):
-        read_calibration(path)
+        read_calibration(path, arm=GALEN)

@@ -91,7 +91,7 @@ def compare(rng, arm, kinds):
     held = (np.arange(count) >= first) & (np.arange(count) < first + count // 6)
     gravity, wrench = made.gravity[~held], made.wrench[~held]
     moments, offset = plain_least_squares(gravity, wrench)
-    chosen = choose_load(gravity, wrench, made.time_s[~held])
+    chosen = choose_load(gravity, wrench, made.time_s[~held], arm=GALEN)
     expected = chosen.predict(made.gravity[held], made.time_s[held])
     plain = gravity_regressor(made.gravity[held]) @ moments + offset
     return made.expected_rmse(expected, held) / made.expected_rmse(plain, held)
@@ -136,7 +136,7 @@ def test_the_choice_over_many_sets(sets):
 def test_a_healthy_sensor_gets_the_plain_fit():
     for seed in range(2):
         made = simulate(np.random.default_rng(seed), GALEN, ())
-        chosen = choose_load(made.gravity, made.wrench, made.time_s)
+        chosen = choose_load(made.gravity, made.wrench, made.time_s, arm=GALEN)
         moments, offset = plain_least_squares(made.gravity, made.wrench)
         assert chosen.names == (PLAIN, PLAIN)
         np.testing.assert_allclose(chosen.single.load.load.moments, moments, rtol=1e-9)
@@ -158,7 +158,7 @@ def test_a_strong_drift_is_explained_and_not_rejected():
     gravity = SIX_AXIS.gravity_in_sensor(angles)
     drift = np.outer(time_s / time_s[-1], [0.0, 0.0, 100.0, 0.0, 0.0, 0.0]) * NOISE[2]
     wrench = gravity_wrench(gravity, made.load) + drift + NOISE * rng.standard_normal((100, 6))
-    chosen = choose_load(gravity, wrench, time_s)
+    chosen = choose_load(gravity, wrench, time_s, arm=GALEN)
     assert chosen.names[0] == STRUCTURED
     assert chosen.single.used.mean() > 0.95
     assert "drifting bias" in chosen.words
@@ -175,13 +175,13 @@ def test_a_drift_with_temperature_is_told_from_one_with_time():
     celsius = 30.0 + 2.0 * rng.standard_normal(count)
     by_celsius = np.outer(celsius - 30.0, [10.0, -8.0, 5.0, 10.0, 6.0, -7.0]) * made.noise
     wrench = made.wrench + by_celsius
-    chosen = choose_load(made.gravity, wrench, made.time_s, temperature_c=celsius)
+    chosen = choose_load(made.gravity, wrench, made.time_s, temperature_c=celsius, arm=GALEN)
     assert "temperature" in chosen.words
     error = np.abs(chosen.single.load.load.moments - made.load.moments)
     assert error[0] < 4.0 * chosen.single.load.mass_std_kg
     expected = chosen.predict(made.gravity, made.time_s, celsius)
     assert np.all(np.std(wrench - expected, axis=0) < 1.3 * made.noise)
-    assert "temperature" not in choose_load(made.gravity, wrench, made.time_s).words
+    assert "temperature" not in choose_load(made.gravity, wrench, made.time_s, arm=GALEN).words
 
 
 def test_gains_and_a_rotation_are_found_beside_a_step():
@@ -210,9 +210,9 @@ def test_a_calibration_finds_a_turned_sensor_and_stores_it(sweeps):
     tool = TOOLS["retractor"].load
 
     def poses(load, start_s):
-        wrench = nominal_reading(angles, load, ADAPTER) @ response.T
+        wrench = nominal_reading(angles, load, ADAPTER, arm=GALEN) @ response.T
         wrench += NOISE * rng.standard_normal((40, 6))
-        return StillPoses(angles, wrench, None, start_s + 2.0 * np.arange(40))
+        return StillPoses(angles, wrench, None, start_s + 2.0 * np.arange(40), arm=GALEN)
 
     bare = poses(Load(0.0), 0.0) if sweeps == 2 else None
     compared = []
@@ -233,10 +233,12 @@ def test_zeros_of_the_joints_are_not_taken_for_a_turned_sensor():
     rng = np.random.default_rng(15)
     angles = rng.uniform([-1.5, -1.0], [1.5, 0.9], (40, 2))
     true, zero = angles + 0.01, GALEN.home_angles + 0.01
-    wrench = [nominal_reading(true, Load(0.0), ADAPTER, zero)]
-    wrench.append(nominal_reading(true, TOOLS["retractor"].load, ADAPTER, zero))
+    wrench = [nominal_reading(true, Load(0.0), ADAPTER, zero, arm=GALEN)]
+    wrench.append(nominal_reading(true, TOOLS["retractor"].load, ADAPTER, zero, arm=GALEN))
     bare, tool = (
-        StillPoses(angles, one + NOISE * rng.standard_normal((40, 6)), None, 2.0 * np.arange(40))
+        StillPoses(
+            angles, one + NOISE * rng.standard_normal((40, 6)), None, 2.0 * np.arange(40), arm=GALEN
+        )
         for one in wrench
     )
     found = choose_calibration(bare, tool)
@@ -252,8 +254,10 @@ def calibration(rng, bias=lambda time_s: 0.0, disturb=lambda wrench: wrench):
     sweeps = []
     for load, start_s in ((Load(0.0), 0.0), (TOOLS["retractor"].load, 100.0)):
         time_s = start_s + 2.0 * np.arange(40)
-        wrench = nominal_reading(angles, load, ADAPTER) + NOISE * rng.standard_normal((40, 6))
-        sweeps.append(StillPoses(angles, wrench + bias(time_s), None, time_s))
+        wrench = nominal_reading(angles, load, ADAPTER, arm=GALEN) + NOISE * rng.standard_normal(
+            (40, 6)
+        )
+        sweeps.append(StillPoses(angles, wrench + bias(time_s), None, time_s, arm=GALEN))
     sweeps[1] = replace(sweeps[1], wrench=disturb(sweeps[1].wrench))
     return choose_calibration(*sweeps)
 
@@ -294,7 +298,7 @@ def test_channels_that_are_predicted_exactly_are_compared_too():
     made = simulate(np.random.default_rng(6), SIX_AXIS, ())
     forces = made.wrench * [1, 1, 1, 0, 0, 0]
     for wrench in (forces, np.round(10.0 * forces)):
-        assert "held-out blocks" in choose_load(made.gravity, wrench, made.time_s).reason
+        assert "held-out blocks" in choose_load(made.gravity, wrench, made.time_s, arm=GALEN).reason
     with pytest.raises(IdentificationError):
         calibration(np.random.default_rng(6), disturb=lambda wrench: np.round(20.0 * wrench) / 20)
 
@@ -308,7 +312,7 @@ def test_a_comparison_can_be_ended():
 
     made = simulate(np.random.default_rng(14), GALEN, ())
     angles = np.random.default_rng(1).uniform([-1.5, -1.0], [1.5, 0.9], (len(made.time_s), 2))
-    poses = StillPoses(angles, made.wrench, None, made.time_s)
+    poses = StillPoses(angles, made.wrench, None, made.time_s, arm=GALEN)
     with pytest.raises(EndedError):
         choose_calibration(None, poses, progress=ended)
 
@@ -318,7 +322,7 @@ def test_gross_outliers_are_rejected():
     wrench = made.wrench.copy()
     hit = [3, 9, 16]
     wrench[hit] += [2.0, -3.0, 2.0, 0.05, 0.05, -0.05]
-    chosen = choose_load(made.gravity, wrench, made.time_s)
+    chosen = choose_load(made.gravity, wrench, made.time_s, arm=GALEN)
     assert np.flatnonzero(~chosen.single.used).tolist() == hit
     assert PLAIN not in chosen.names
 
@@ -326,7 +330,7 @@ def test_gross_outliers_are_rejected():
 def test_few_poses_give_the_plain_fit():
     made = simulate(np.random.default_rng(9), GALEN, ())
     gravity, wrench = made.gravity[:24:3], made.wrench[:24:3]
-    chosen = choose_load(gravity, wrench, made.time_s[:24:3])
+    chosen = choose_load(gravity, wrench, made.time_s[:24:3], arm=GALEN)
     moments, offset = plain_least_squares(gravity, wrench)
     assert chosen.names == (PLAIN, PLAIN)
     np.testing.assert_allclose(chosen.single.load.load.moments, moments, rtol=1e-9)

@@ -117,26 +117,26 @@ def test_mass_under_bias_drift_is_better_and_its_interval_true():
 @pytest.mark.slow
 def test_a_bias_drift_is_chosen_where_there_is_one_and_not_where_there_is_none():
     rng = np.random.default_rng(2)
-    none = choose_load(GRAVITY, reading(rng, 0.0), TIME_S)
+    none = choose_load(GRAVITY, reading(rng, 0.0), TIME_S, arm=GALEN)
     assert none.words == "constant bias"
-    there = choose_load(GRAVITY, reading(rng, 50.0), TIME_S)
+    there = choose_load(GRAVITY, reading(rng, 50.0), TIME_S, arm=GALEN)
     assert there.words.startswith("drifting bias: forces")
     assert "constant" not in there.words
     few = slice(0, 8)
-    short = choose_load(GRAVITY[few], reading(rng, 50.0)[few], TIME_S[few])
+    short = choose_load(GRAVITY[few], reading(rng, 50.0)[few], TIME_S[few], arm=GALEN)
     assert short.words == "constant bias"
 
 
 @pytest.mark.slow
 def test_two_sweeps_with_a_bias_drift_and_a_touched_pose():
     rng = np.random.default_rng(3)
-    bare = nominal_reading(ANGLES, Load(0.0), ADAPTER) + bias_drift(rng, 50.0)
-    with_tool = nominal_reading(ANGLES, TOOL, ADAPTER) + bias_drift(rng, 50.0) + 0.3
+    bare = nominal_reading(ANGLES, Load(0.0), ADAPTER, arm=GALEN) + bias_drift(rng, 50.0)
+    with_tool = nominal_reading(ANGLES, TOOL, ADAPTER, arm=GALEN) + bias_drift(rng, 50.0) + 0.3
     noise = SIGMA * rng.standard_normal((2, 56, 6))
     with_tool[20] += [0.5, -0.5, 0.5, 0.0, 0.0, 0.0]
     both = (
-        StillPoses(ANGLES, bare + noise[0], None, TIME_S),
-        StillPoses(ANGLES, with_tool + noise[1], None, TIME_S + 500.0),
+        StillPoses(ANGLES, bare + noise[0], None, TIME_S, arm=GALEN),
+        StillPoses(ANGLES, with_tool + noise[1], None, TIME_S + 500.0, arm=GALEN),
     )
     found = choose_calibration(*both)
     assert found.bias_drift is not None
@@ -145,20 +145,20 @@ def test_two_sweeps_with_a_bias_drift_and_a_touched_pose():
     np.testing.assert_array_less(np.abs(found.load.com_m - TOOL.com_m) / found.load.com_std_m, 3.5)
     assert abs(found.load.mass_kg - TOOL.mass_kg) < 3.5 * found.load.mass_std_kg
     # what holds at the end is what is written
-    last = with_tool[-1] - nominal_reading(ANGLES[-1], TOOL, ADAPTER)
+    last = with_tool[-1] - nominal_reading(ANGLES[-1], TOOL, ADAPTER, arm=GALEN)
     np.testing.assert_allclose(found.offset[:3], last[:3], atol=0.01)
     assert "drifted" in found.warnings[0]
     assert found.model.startswith("drifting bias: forces")
-    untimed = choose_calibration(both[0], StillPoses(ANGLES, both[1].wrench))
+    untimed = choose_calibration(both[0], StillPoses(ANGLES, both[1].wrench, arm=GALEN))
     assert untimed.bias_drift is None
     assert "no times" in untimed.reason
 
 
 def test_one_sweep_with_a_known_adapter():
     rng = np.random.default_rng(4)
-    tool = nominal_reading(ANGLES, TOOL, ADAPTER) + bias_drift(rng, 50.0)
+    tool = nominal_reading(ANGLES, TOOL, ADAPTER, arm=GALEN) + bias_drift(rng, 50.0)
     tool += SIGMA * rng.standard_normal((56, 6))
-    poses = StillPoses(ANGLES, tool, None, TIME_S)
+    poses = StillPoses(ANGLES, tool, None, TIME_S, arm=GALEN)
     found = choose_calibration(None, poses)
     assert found.bias_drift is not None
     assert found.unresolved

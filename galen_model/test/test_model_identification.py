@@ -44,9 +44,16 @@ def sweeps(tool, rng, noise=SIGMA, drift=0.0, poses=None, arm=GALEN):
     with_tool = nominal_reading(angles, tool, ADAPTER, arm=arm) + zeroing + drift
     hours = np.arange(float(len(angles)))
     return (
-        StillPoses(angles, bare + noise * rng.standard_normal(bare.shape), None, hours, arm),
         StillPoses(
-            angles, with_tool + noise * rng.standard_normal(bare.shape), None, 100.0 + hours, arm
+            angles, bare + noise * rng.standard_normal(bare.shape), None, hours, arm, arm=GALEN
+        ),
+        StillPoses(
+            angles,
+            with_tool + noise * rng.standard_normal(bare.shape),
+            None,
+            100.0 + hours,
+            arm,
+            arm=GALEN,
         ),
     )
 
@@ -121,8 +128,8 @@ def cramer_rao(angles, tool):
 
     def stacked(x, o_bare, o_tool):
         adapter, load = Load(x[4], x[5:8]), Load(x[0], x[1:4])
-        bare = nominal_reading(angles, NO_TOOL, adapter) + o_bare
-        return np.concatenate([bare, nominal_reading(angles, load, adapter) + o_tool])
+        bare = nominal_reading(angles, NO_TOOL, adapter, arm=GALEN) + o_bare
+        return np.concatenate([bare, nominal_reading(angles, load, adapter, arm=GALEN) + o_tool])
 
     columns = []
     for index in range(20):
@@ -198,7 +205,7 @@ def test_mass_that_is_not_positive_is_rejected():
     nothing, still_nothing = sweeps(NO_TOOL, rng)
     with pytest.raises(IdentificationError, match="the tool"):
         identify_two_sweeps(nothing, still_nothing)
-    flipped = [StillPoses(s.angles, -s.wrench) for s in (bare, with_tool)]
+    flipped = [StillPoses(s.angles, -s.wrench, arm=GALEN) for s in (bare, with_tool)]
     with pytest.raises(IdentificationError, match="direction of the push"):
         identify_two_sweeps(*flipped)
 
@@ -209,8 +216,10 @@ def test_one_sweep_compensates_fully_and_says_what_it_can_not_know():
     found = identify_one_sweep(with_tool)
     # predictions at poses of its own, not at the sweep's
     angles = rng.uniform([-1.5, -1.0], [1.5, 0.9], (200, 2))
-    expected = nominal_reading(angles, tool, ADAPTER)
-    predicted = nominal_reading(angles, found.load.load, found.adapter.load) + found.offset
+    expected = nominal_reading(angles, tool, ADAPTER, arm=GALEN)
+    predicted = (
+        nominal_reading(angles, found.load.load, found.adapter.load, arm=GALEN) + found.offset
+    )
     assert np.all(np.sqrt(np.mean((predicted - expected) ** 2, axis=0)) < 2.5 * SIGMA)
     total = tool.moments[1] + ADAPTER.moments[1]  # gravity at home is along the sensor's x
     both = found.load.load.moments[1] + found.adapter.load.moments[1]
@@ -229,7 +238,7 @@ def test_one_sweep_of_a_sensor_that_was_not_zeroed_is_one_load_and_its_offset(bi
     tool, rng = TOOLS["retractor"].load, np.random.default_rng(15)
     both = Load(0.3, (tool.moments + ADAPTER.moments)[1:] / 0.3)
     readings = gravity_wrench(GALEN.gravity_in_sensor(grid()), both) + bias
-    sweep = StillPoses(grid(), readings + SIGMA * rng.standard_normal(readings.shape))
+    sweep = StillPoses(grid(), readings + SIGMA * rng.standard_normal(readings.shape), arm=GALEN)
     found = choose_calibration(None, sweep)
     assert not found.zeroed and found.adapter.mass_kg == 0.0
     assert abs(found.load.mass_kg - 0.3) < 4.0 * found.load.mass_std_kg
@@ -343,17 +352,17 @@ def test_a_bias_drift_within_a_sweep_is_told():
 
 
 def test_planned_poses_are_judged_before_the_arm_moves():
-    check_planned_poses(grid())
-    check_planned_poses(grid(2, 3), one_sweep=True)
+    check_planned_poses(grid(), arm=GALEN)
+    check_planned_poses(grid(2, 3), one_sweep=True, arm=GALEN)
     for one_sweep in (False, True):
         with pytest.raises(NotExcitedError, match="each sweep: 1 still poses; at least 4"):
-            check_planned_poses(grid(1, 1), one_sweep=one_sweep)
+            check_planned_poses(grid(1, 1), one_sweep=one_sweep, arm=GALEN)
         with pytest.raises(NotExcitedError, match=r"the tool's centre along \w"):
-            check_planned_poses(np.tile([0.3, 0.1], (8, 1)), one_sweep=one_sweep)
+            check_planned_poses(np.tile([0.3, 0.1], (8, 1)), one_sweep=one_sweep, arm=GALEN)
 
 
 def test_sweep_shapes_are_checked():
     with pytest.raises(IdentificationError, match="shape"):
-        StillPoses(grid(), np.zeros((55, 6)))
+        StillPoses(grid(), np.zeros((55, 6)), arm=GALEN)
     with pytest.raises(IdentificationError, match=r"wrench .* non-finite"):
-        StillPoses(grid(), np.full((56, 6), np.nan))
+        StillPoses(grid(), np.full((56, 6), np.nan), arm=GALEN)

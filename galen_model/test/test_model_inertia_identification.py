@@ -9,7 +9,7 @@ from galen_model.arm.description import read_arm
 from galen_model.arm.galen import ENCODER_QUANTUM, GALEN, SENSOR
 from galen_model.arm.sensor_motion import sensor_motion
 from galen_model.errors import IdentificationError, NotExcitedError
-from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
+from galen_model.files.calibration_file import CalibrationFile, LoadEstimate, zeroed_at
 from galen_model.load.inertia import (
     inertial_regressor,
     inertial_wrench,
@@ -67,7 +67,7 @@ def cramer_rao_std(rate_hz=250.0, duration_s=20.0):
     """The least that white noise allows: offset, lag unknown, (m, h) known as by the file."""
     times = np.arange(0.0, duration_s, 1.0 / rate_hz)
     q, v, a = motion(times)
-    moving = sensor_motion(q, v, a)
+    moving = sensor_motion(q, v, a, arm=GALEN)
     gravity = GALEN.gravity_in_sensor(q[:, 3:])
     design = np.zeros((len(q), 6, 17))
     design[..., :10] = inertial_regressor(gravity - moving[2], moving[0], moving[1])
@@ -137,16 +137,16 @@ def test_another_load_than_the_files_is_noticed():
 def test_readings_that_hold_the_weight_alone_are_rejected():
     stamps, joints, same, wrench = recording(8)
     q, v, a = motion((stamps - stamps[0]) / NS)
-    moving = sensor_motion(q, v, a)
+    moving = sensor_motion(q, v, a, arm=GALEN)
     wrench -= inertial_wrench(-moving[2], moving[0], moving[1], MOMENTS, INERTIA)
     with pytest.raises(IdentificationError, match="weight alone"):
-        identify_inertia(motion_record(stamps, joints, same, wrench), MOMENTS, KNOWN)
+        identify_inertia(motion_record(stamps, joints, same, wrench, arm=GALEN), MOMENTS, KNOWN)
 
 
 def test_touched_blocks_are_left_out_and_a_recording_touched_all_over_is_rejected():
     stamps, joints, same, wrench = recording(5)
     wrench[1000:1250, 2] += 5.0
-    fit = identify_inertia(motion_record(stamps, joints, same, wrench), MOMENTS, KNOWN)
+    fit = identify_inertia(motion_record(stamps, joints, same, wrench, arm=GALEN), MOMENTS, KNOWN)
     assert 2 <= fit.touched <= 4
     error = fit.inertia.about_sensor_kg_m2 - INERTIA
     assert np.all(np.abs(error) < 4.0 * fit.inertia.std_kg_m2)
@@ -158,7 +158,7 @@ def test_a_short_recording_and_one_in_pieces_are_rejected():
     stamps, joints, same, wrench = recording(6)
     gappy = np.arange(len(stamps)) % 250 > 25
     with pytest.raises(IdentificationError, match="without a gap"):
-        motion_record(stamps[gappy], joints[gappy], same, wrench)
+        motion_record(stamps[gappy], joints[gappy], same, wrench, arm=GALEN)
 
 
 def test_the_files_moments_are_the_sum_of_both_loads_with_their_covariances():
@@ -171,6 +171,8 @@ def test_the_files_moments_are_the_sum_of_both_loads_with_their_covariances():
         rmse=np.zeros(6),
         poses_used=56,
         calibrated_at="2026-11-21T12:00:00+00:00",
+        arm=GALEN,
+        zeroing=zeroed_at(arm=GALEN),
     )
     moments, spread = total_moments(tool)
     np.testing.assert_allclose(moments, MOMENTS)

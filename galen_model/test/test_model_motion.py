@@ -67,7 +67,7 @@ def test_the_sensors_motion_and_a_loads_wrench_are_pinocchios():
     inertia = INERTIA + point_mass_inertia(LOAD)
     np.testing.assert_allclose(inertia_matrix(inertia_numbers(about_centre)), about_centre)
     q, v, a = random_motion()
-    motion = sensor_motion(q, v, a)
+    motion = sensor_motion(q, v, a, arm=GALEN)
     wrench = inertial_wrench(-motion.acceleration_m_s2, *motion[:2], LOAD.moments, inertia)
     for k in range(len(q)):
         velocity, spatial, classical = pinocchio_motion(arm, q[k], v[k], a[k])
@@ -77,7 +77,7 @@ def test_the_sensors_motion_and_a_loads_wrench_are_pinocchios():
         rate = body * spatial + velocity.cross(body * velocity)
         np.testing.assert_allclose(wrench[k], -np.r_[rate.linear, rate.angular], atol=1e-12)
         # one moment at a time, in plain floats
-        single = MotionOfSensor().at(q[k], v[k], a[k])
+        single = MotionOfSensor(arm=GALEN).at(q[k], v[k], a[k])
         np.testing.assert_allclose(single, [part[k] for part in motion], atol=1e-12)
         w, al, linear = single
         fast = LoadInMotion(LOAD.moments, inertia).wrench(tuple(-x for x in linear), w, al)
@@ -142,7 +142,7 @@ def test_at_rest_it_is_the_weight_and_a_pendulum_in_free_fall_of_its_swing_reads
 
 def test_every_column_of_the_regressor_has_its_own_effect():
     q, v, a = random_motion(4)
-    motion = sensor_motion(q, v, a)
+    motion = sensor_motion(q, v, a, arm=GALEN)
     specific = np.array([0.0, 0.0, -9.81]) - motion.acceleration_m_s2
     columns = inertial_regressor(specific, *motion[:2]).reshape(-1, 10)
     assert np.linalg.matrix_rank(columns) == 10
@@ -151,7 +151,7 @@ def test_every_column_of_the_regressor_has_its_own_effect():
 def test_a_tools_file_holds_the_inertia_or_no_key_for_it(tmp_path):
     estimate = InertiaEstimate(INERTIA, np.diag(np.full(6, 1e-10)))
     write_calibration(tmp_path / "a.json", calibration("a", inertia=estimate))
-    again = read_calibration(tmp_path / "a.json").inertia
+    again = read_calibration(tmp_path / "a.json", arm=GALEN).inertia
     assert again is not None
     np.testing.assert_array_equal(again.about_sensor_kg_m2, INERTIA)
     np.testing.assert_allclose(again.std_kg_m2, 1e-5)
@@ -181,5 +181,5 @@ def test_a_wrong_inertia_is_named_with_the_file(tmp_path, change, message):
     path = tmp_path / "a.json"
     path.write_text(json.dumps(content))
     with pytest.raises(CalibrationFileError, match=message) as error:
-        read_calibration(path)
+        read_calibration(path, arm=GALEN)
     assert str(path) in str(error.value)

@@ -16,6 +16,7 @@ from galen_model.files.calibration_file import (
     LoadEstimate,
     read_calibration,
     write_calibration,
+    zeroed_at,
 )
 from galen_model.files.json_fields import FieldError
 from galen_model.load.identification import StillPoses
@@ -118,6 +119,8 @@ def tool_file(mounted, load=RETRACTOR):
         56,
         "2026-01-01T00:00:00+00:00",
         mounting=mounted,
+        arm=GALEN,
+        zeroing=zeroed_at(arm=GALEN),
     )
 
 
@@ -222,7 +225,7 @@ def test_next_to_no_noise_gives_the_mounting_of_a_six_axis_arm(groups):
     again = Mounting.from_json(found.mounting.to_json(), "mounting", SIX)
     np.testing.assert_array_equal(again.vector, found.mounting.vector)
     with pytest.raises(FieldError, match="roll"):
-        Mounting.from_json(found.mounting.to_json(), "mounting")
+        Mounting.from_json(found.mounting.to_json(), "mounting", arm=GALEN)
 
 
 def test_joints_without_an_effect_keep_their_zero_and_parallel_ones_share_one():
@@ -290,23 +293,23 @@ def test_twins_are_rejected_by_name(groups, pair):
     with pytest.raises(NotExcitedError) as rejected:
         identify_two_sweeps_mounted(*sweeps(mounting(only=groups), rng), groups)
     with pytest.raises(NotExcitedError) as planned:
-        check_planned_mounting(grid(), groups)
+        check_planned_mounting(grid(), groups, arm=GALEN)
     for message in (str(rejected.value), str(planned.value)):
         assert named_pairs(message) == {frozenset(f"the {name}" for name in pair)}
 
 
 def test_a_tool_on_the_axis_does_not_tell_the_torque_about_it():
     on_axis = Load(0.2, np.array([0.0, 0.0, 0.05]))
-    made = sweeps(Mounting(), np.random.default_rng(1), tool=on_axis)
+    made = sweeps(Mounting.of(GALEN), np.random.default_rng(1), tool=on_axis)
     with pytest.raises(NotExcitedError, match=r"gain of tz .* centres"):
         identify_two_sweeps_mounted(*made, ["torque_gain_ratio"])
 
 
 def test_a_healthy_arm_gives_zeros_and_does_not_pay():
-    bare, tool = sweeps(Mounting(), np.random.default_rng(11), poses=grid(4, 6))
+    bare, tool = sweeps(Mounting.of(GALEN), np.random.default_rng(11), poses=grid(4, 6))
     measured = Calibrated(bare, tool, ["sensor_rotation", "gain_ratio", "base_inclination"])
     found = measured.identify()
-    basis = np.array([e.direction for e in entities(measured.groups)]).T
+    basis = np.array([e.direction for e in entities(measured.groups, arm=GALEN)]).T
     reduced = np.linalg.pinv(basis)
     error, covariance = reduced @ found.mounting.vector, reduced @ found.mounting.covariance
     distance = error @ np.linalg.solve(covariance @ reduced.T, error)
@@ -363,7 +366,7 @@ def test_orientations_tell_rotation_and_inclination():
     weight = np.concatenate([force, np.cross(RETRACTOR.com_m, force)], axis=1)
     wrench = sensed(mounted, weight) + 0.3 + SIGMA * rng.standard_normal((30, 6))
     groups = ["sensor_rotation", "base_inclination"]
-    found = identify_single_load_mounted(level, wrench, groups, turns.as_matrix())
+    found = identify_single_load_mounted(level, wrench, groups, turns.as_matrix(), arm=GALEN)
     told = found.mounting.std > 0.0
     assert told.sum() == 5
     error = (found.mounting.vector - mounted.vector)[told] / found.mounting.std[told]
@@ -371,16 +374,16 @@ def test_orientations_tell_rotation_and_inclination():
     left = wrench - found.predict(level, turns.as_matrix())
     assert np.all(np.sqrt(np.mean(left**2, axis=0)) < 1.4 * SIGMA)
     with pytest.raises(NotExcitedError, match=r"not identifiable .* the base's inclination"):
-        identify_single_load_mounted(level, wrench, ["base_inclination"])
+        identify_single_load_mounted(level, wrench, ["base_inclination"], arm=GALEN)
     with pytest.raises(NotExcitedError, match=r"not identifiable .* the roll joint's zero"):
-        identify_single_load_mounted(level, wrench, ["roll_zero"], turns.as_matrix())
+        identify_single_load_mounted(level, wrench, ["roll_zero"], turns.as_matrix(), arm=GALEN)
 
 
 @pytest.mark.slow
 def test_the_intervals_hold():
     """30 calibrations against chi-square."""
     groups = ["sensor_rotation", "base_inclination", "gain_ratio"]
-    basis = np.array([e.direction for e in entities(groups)]).T
+    basis = np.array([e.direction for e in entities(groups, arm=GALEN)]).T
     mounted, poses, count = mounting(only=groups), grid(4, 5), 30
     rng = np.random.default_rng(16)
     clean = sweeps(mounted, poses=poses)
@@ -389,7 +392,7 @@ def test_the_intervals_hold():
     distances, inside = [], []
     for _ in range(count):
         bare, tool = (
-            StillPoses(poses, one.wrench + SIGMA * rng.standard_normal(one.wrench.shape))
+            StillPoses(poses, one.wrench + SIGMA * rng.standard_normal(one.wrench.shape), arm=GALEN)
             for one in clean
         )
         found = identify_two_sweeps_mounted(bare, tool, groups).mounting
@@ -406,7 +409,7 @@ def test_a_file_holds_the_mounting_and_rejects_a_broken_one(tmp_path):
     mounted = replace(mounting(), estimated=("sensor_rotation",), covariance=covariance)
     path = tmp_path / "retractor.json"
     write_calibration(path, tool_file(mounted))
-    back = read_calibration(path)
+    back = read_calibration(path, arm=GALEN)
     assert back.mounting is not None
     np.testing.assert_array_equal(back.mounting.vector, mounted.vector)
     np.testing.assert_array_equal(back.mounting.covariance, covariance)
@@ -426,16 +429,16 @@ def test_a_file_holds_the_mounting_and_rejects_a_broken_one(tmp_path):
         ({"covariance": (-covariance).tolist()}, "covariance"),
     ):
         with pytest.raises(FieldError, match=named):
-            Mounting.from_json(good | change, "mounting")
+            Mounting.from_json(good | change, "mounting", arm=GALEN)
 
 
 def test_what_can_not_be_asked_for_is_said():
     with pytest.raises(IdentificationError, match="'gains' can't be estimated"):
-        entities(["gains"])
+        entities(["gains"], arm=GALEN)
     with pytest.raises(IdentificationError, match="known mass"):
         KnownLoad(0.0, 1e-3)
     with pytest.raises(IdentificationError, match="known centre"):
         KnownLoad(0.1, 1e-3, np.zeros(3))
     assert len(parameters(GALEN.turning_names)) == 13
-    basis = np.array([e.direction for group in ALL for e in groups_of()[group]])
+    basis = np.array([e.direction for group in ALL for e in groups_of(arm=GALEN)[group]])
     assert np.linalg.matrix_rank(basis) == 13

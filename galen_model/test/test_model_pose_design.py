@@ -41,7 +41,7 @@ def both_loads(design):
 
 def workspace_error(covariance):
     """Mean variance of G x + c over the workspace and axes, in readings; written out again."""
-    poses = workspace(25)
+    poses = workspace(25, arm=GALEN)
     total = 0.0
     for gravity in GALEN.gravity_in_sensor(poses):
         row = np.hstack([gravity_regressor(gravity), np.eye(6)])
@@ -51,13 +51,13 @@ def workspace_error(covariance):
 
 def test_the_criterion_is_what_two_sweeps_leave():
     poses = random_poses(np.random.default_rng(1), 9)
-    gravity = StillPoses(poses, np.zeros((9, 6))).gravity
+    gravity = StillPoses(poses, np.zeros((9, 6)), arm=GALEN).gravity
     rows, zero = gravity_regressor(gravity), gravity_regressor(GALEN.gravity_in_sensor(BIAS))
     design = two_sweeps_design(rows - zero, rows, zero) / SIGMA[:, None]
     covariance = np.linalg.inv(np.einsum("nkp,nkq->pq", design, design))
     matrix = both_loads(20)
     both = matrix @ covariance @ matrix.T
-    value = PoseDesign(poses).value(poses)
+    value = PoseDesign(poses, arm=GALEN).value(poses)
     np.testing.assert_allclose(value, workspace_error(both), rtol=1e-6)
     # with the same poses in both sweeps the tool alone is known with twice the sum's variance
     np.testing.assert_allclose(covariance[:4, :4], 2.0 * both[:4, :4], rtol=1e-5, atol=1e-15)
@@ -77,14 +77,14 @@ def test_the_criterion_is_what_one_sweep_leaves():
     information[8:, 8:] += np.diag(1.0 / SIGMA**2)
     matrix = both_loads(14)
     both = matrix @ np.linalg.inv(information) @ matrix.T
-    value = PoseDesign(poses, one_sweep_zero=BIAS).value(poses)
+    value = PoseDesign(poses, one_sweep_zero=BIAS, arm=GALEN).value(poses)
     np.testing.assert_allclose(value, workspace_error(both), rtol=1e-5)
-    assert value < PoseDesign(poses).value(poses)  # the zeroing tells something
+    assert value < PoseDesign(poses, arm=GALEN).value(poses)  # the zeroing tells something
 
 
 def test_the_std_is_that_of_fits_to_noise():
     rng = np.random.default_rng(3)
-    poses, unseen = random_poses(rng, 8), workspace(9)
+    poses, unseen = random_poses(rng, 8), workspace(9, arm=GALEN)
     gravity, there = (
         GALEN.gravity_in_sensor(poses),
         gravity_regressor(GALEN.gravity_in_sensor(unseen)),
@@ -96,8 +96,8 @@ def test_the_std_is_that_of_fits_to_noise():
         errors.append(there @ moments + offset)
     seen = np.sqrt(np.mean(np.square(errors), axis=(0, 1)))
     # 81 points lie denser at the workspace's borders than the criterion's 625
-    np.testing.assert_allclose(compensation_std(poses, even), seen, rtol=0.1)
-    assert np.all(np.isinf(compensation_std(poses[:2], even)))
+    np.testing.assert_allclose(compensation_std(poses, even, arm=GALEN), seen, rtol=0.1)
+    assert np.all(np.isinf(compensation_std(poses[:2], even, arm=GALEN)))
 
 
 @pytest.mark.parametrize("bias", [None, BIAS])
@@ -105,7 +105,7 @@ def test_exchange_finds_the_best_of_all_subsets(bias):
     rng = np.random.default_rng(4)
     for count in (4, 5):
         candidates = random_poses(rng, 8)
-        design = PoseDesign(candidates, one_sweep_zero=bias)
+        design = PoseDesign(candidates, one_sweep_zero=bias, arm=GALEN)
         best = min(
             design.value(candidates[list(subset)])
             for subset in itertools.combinations(range(8), count)
@@ -120,6 +120,6 @@ def test_exchange_finds_the_best_of_all_subsets(bias):
 def test_a_good_start_is_kept_and_few_or_bad_candidates_are_rejected():
     line = np.column_stack([np.zeros(8), np.linspace(-1.0, 0.9, 8)])
     with pytest.raises(PoseDesignError, match="6 poses out of 8 don't tell all"):
-        PoseDesign(np.tile(line[:1], (8, 1))).choose(6)
+        PoseDesign(np.tile(line[:1], (8, 1)), arm=GALEN).choose(6)
     with pytest.raises(PoseDesignError, match="9 poses are wanted, but there are only 8"):
-        PoseDesign(line).choose(9)
+        PoseDesign(line, arm=GALEN).choose(9)

@@ -28,7 +28,7 @@ def test_sound_force_and_torque_equations_are_the_model(tool):
     f_t = tool.mass_kg * GRAVITY_M_S2
     force = RT @ f_t + (RT - R0.T) @ F_B
     torque = -RT @ skew(f_t) @ R @ tool.com_m - (RT @ skew(F_B) @ R - R0.T @ skew(F_B) @ R0) @ P_B
-    reading = nominal_reading(ANGLES, tool, ADAPTER)
+    reading = nominal_reading(ANGLES, tool, ADAPTER, arm=GALEN)
     np.testing.assert_allclose(reading[:, :3], force, atol=1e-14)
     np.testing.assert_allclose(reading[:, 3:], torque, atol=1e-14)
 
@@ -52,7 +52,7 @@ def test_printed_eq_7_leaves_bias_torque_on_its_right_side(tool, right_form):
     Both miss the tool's centre by millimetres, without any noise.
     """
     f_t = tool.mass_kg * GRAVITY_M_S2
-    torque = nominal_reading(ANGLES, tool, ADAPTER)[:, 3:]
+    torque = nominal_reading(ANGLES, tool, ADAPTER, arm=GALEN)[:, 3:]
     taken_off = {
         "R(theta) for R(0)": -(RT @ skew(F_B) @ R - RT @ skew(F_B) @ R) @ P_B,
         "f_t for f_b": -(RT @ skew(f_t) @ R - R0.T @ skew(f_t) @ R0) @ P_B,

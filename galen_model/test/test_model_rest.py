@@ -36,7 +36,7 @@ def ends(stamps, joints, settings=None, arm=GALEN):
     """First and last stamp of each rest segment."""
     return [
         (stamps[rows.start], stamps[rows.stop - 1])
-        for rows in rest_by_joints(stamps, joints, settings, arm)
+        for rows in rest_by_joints(stamps, joints, settings, arm=arm)
     ]
 
 
@@ -101,7 +101,7 @@ def test_a_short_stop_is_no_phase():
 def test_a_jump_of_the_stamps_ends_a_phase_and_no_phase_runs_backward(step_s):
     stamps, joints = recording(500.0, moves=())
     stamps[1500:] += round(step_s * NS)
-    rows = rest_by_joints(stamps, joints)
+    rows = rest_by_joints(stamps, joints, arm=GALEN)
     assert [row.stop for row in rows] == [1500, 3000]
     assert rows[1].start == 1500
     for row in rows:

@@ -32,11 +32,13 @@ def test_what_is_written_is_read_back(tmp_path):
         residual_offset=np.arange(6) * 0.01, poses_rejected=("with the tool, pose 3: x",)
     )
     write_calibration(path, tool)
-    again = read_calibration(path)
+    again = read_calibration(path, arm=GALEN)
     assert again.to_json() == tool.to_json()
     assert "unresolved" not in json.loads(path.read_text())
     angles = np.array([[0.3, 0.1], [-1.0, 0.7]])
-    expected = nominal_reading(angles, TOOLS["pointer"].load, ADAPTER) + tool.residual_offset
+    expected = (
+        nominal_reading(angles, TOOLS["pointer"].load, ADAPTER, arm=GALEN) + tool.residual_offset
+    )
     np.testing.assert_allclose(again.predict(angles), expected, atol=1e-14)
 
 
@@ -46,9 +48,13 @@ def test_the_model_chosen_is_kept_and_may_lack(tmp_path):
     write_calibration(path, calibration(**words))
     content = json.loads(path.read_text())
     assert words.items() <= content.items()
-    assert read_calibration(path).model_reason == words["model_reason"]
+    assert read_calibration(path, arm=GALEN).model_reason == words["model_reason"]
     path.write_text(json.dumps({k: v for k, v in content.items() if k not in words}))
-    assert read_calibration(path).model == read_calibration(path).model_reason == ""
+    assert (
+        read_calibration(path, arm=GALEN).model
+        == read_calibration(path, arm=GALEN).model_reason
+        == ""
+    )
 
 
 def schema_1(roll=0.3, tilt=-0.2, gravity=-9.8):
@@ -66,7 +72,7 @@ def schema_1(roll=0.3, tilt=-0.2, gravity=-9.8):
 def test_a_file_of_schema_1_is_read_as_before(tmp_path):
     path = tmp_path / "pointer.json"
     path.write_text(json.dumps(schema_1()))
-    file = read_calibration(path)
+    file = read_calibration(path, arm=GALEN)
     at_zero = GALEN.gravity_in_sensor((0.3, -0.2)) * 9.8 / 9.80665
     np.testing.assert_allclose(file.gravity_at_zeroing, at_zero, rtol=1e-15)
     assert (
@@ -75,12 +81,16 @@ def test_a_file_of_schema_1_is_read_as_before(tmp_path):
         and not file.arm_warning
     )
     angles = np.array([[0.3, 0.1], [-1.0, 0.7]])
-    expected = nominal_reading(angles, TOOLS["pointer"].load, ADAPTER, (0.3, -0.2)) * 9.8 / 9.80665
+    expected = (
+        nominal_reading(angles, TOOLS["pointer"].load, ADAPTER, (0.3, -0.2), arm=GALEN)
+        * 9.8
+        / 9.80665
+    )
     np.testing.assert_allclose(file.predict(angles), expected, atol=1e-14)
     write_calibration(path, file)
     assert json.loads(path.read_text())["schema_version"] == 2
     np.testing.assert_array_equal(
-        read_calibration(path).predict(angles),
+        read_calibration(path, arm=GALEN).predict(angles),
         file.predict(angles),
     )
 
@@ -92,7 +102,7 @@ def test_a_field_that_schema_1_lacks_is_named_as_there(tmp_path, field):
     path = tmp_path / "pointer.json"
     path.write_text(json.dumps(content))
     with pytest.raises(CalibrationFileError, match=f"{field} is missing"):
-        read_calibration(path)
+        read_calibration(path, arm=GALEN)
 
 
 def test_another_urdf_of_the_same_arm_is_a_warning(tmp_path):
@@ -100,19 +110,21 @@ def test_another_urdf_of_the_same_arm_is_a_warning(tmp_path):
     content = calibration().to_json()
     content["arm"]["urdf_sha256"] = "ab" * 32
     path.write_text(json.dumps(content))
-    warning = read_calibration(path).arm_warning
+    warning = read_calibration(path, arm=GALEN).arm_warning
     assert "another URDF of the arm 'galen' (abababababab," in warning
     content["arm"]["urdf_sha256"] = ""  # not known: nothing to compare
     path.write_text(json.dumps(content))
-    assert read_calibration(path).arm_warning == ""
+    assert read_calibration(path, arm=GALEN).arm_warning == ""
 
 
 def test_without_a_zeroing_the_adapter_is_weighed_like_the_tool(tmp_path):
     path = tmp_path / "pointer.json"
     write_calibration(path, calibration(zeroing=None))
-    both = nominal_reading((0.3, 0.1), TOOLS["pointer"].load, Load(0.0))
-    both = both + nominal_reading((0.3, 0.1), ADAPTER, Load(0.0))
-    np.testing.assert_allclose(read_calibration(path).predict((0.3, 0.1)), both, atol=1e-14)
+    both = nominal_reading((0.3, 0.1), TOOLS["pointer"].load, Load(0.0), arm=GALEN)
+    both = both + nominal_reading((0.3, 0.1), ADAPTER, Load(0.0), arm=GALEN)
+    np.testing.assert_allclose(
+        read_calibration(path, arm=GALEN).predict((0.3, 0.1)), both, atol=1e-14
+    )
 
 
 def test_the_old_file_is_kept_as_bak(tmp_path):
@@ -120,8 +132,8 @@ def test_the_old_file_is_kept_as_bak(tmp_path):
     write_calibration(path, calibration(mass_kg=0.06))
     assert not path.with_name("pointer.json.bak").exists()
     write_calibration(path, calibration(mass_kg=0.07))
-    assert read_calibration(path).load.mass_kg == 0.07
-    assert read_calibration(path.with_name("pointer.json.bak")).load.mass_kg == 0.06
+    assert read_calibration(path, arm=GALEN).load.mass_kg == 0.07
+    assert read_calibration(path.with_name("pointer.json.bak"), arm=GALEN).load.mass_kg == 0.06
     assert sorted(p.name for p in tmp_path.iterdir()) == ["pointer.json", "pointer.json.bak"]
 
 
@@ -178,7 +190,7 @@ def test_a_wrong_field_is_named_with_the_file(tmp_path, change, message):
     path = tmp_path / "pointer.json"
     path.write_text(json.dumps({**calibration().to_json(), **change}))
     with pytest.raises(CalibrationFileError, match=message) as error:
-        read_calibration(path)
+        read_calibration(path, arm=GALEN)
     assert str(path) in str(error.value)
 
 
@@ -189,7 +201,7 @@ def test_a_missing_field_is_named(tmp_path, field):
     path = tmp_path / "pointer.json"
     path.write_text(json.dumps(content))
     with pytest.raises(CalibrationFileError, match=f"{field} is missing"):
-        read_calibration(path)
+        read_calibration(path, arm=GALEN)
 
 
 @pytest.mark.parametrize("text", [b"", b"{", b"[]", b"\xff\xfe", b"[" * 100_000, b"null"])
@@ -197,7 +209,7 @@ def test_what_is_no_json_object_is_rejected(tmp_path, text):
     path = tmp_path / "pointer.json"
     path.write_bytes(text)
     with pytest.raises(CalibrationFileError, match=r"pointer\.json"):
-        read_calibration(path)
+        read_calibration(path, arm=GALEN)
 
 
 @pytest.mark.parametrize(
@@ -209,7 +221,7 @@ def test_what_is_nested_too_deep_is_rejected(tmp_path, field, depth):
     path = tmp_path / "pointer.json"
     path.write_text(json.dumps(content).replace('"HERE"', "[" * depth + "]" * depth))
     with pytest.raises(CalibrationFileError, match=r"pointer\.json"):
-        read_calibration(path)
+        read_calibration(path, arm=GALEN)
 
 
 def test_what_can_not_be_read_is_not_written(tmp_path):
@@ -226,11 +238,11 @@ def test_what_can_not_be_read_is_not_written(tmp_path):
 
 def test_a_file_that_is_not_there_is_told_from_a_bad_one(tmp_path):
     with pytest.raises(CalibrationFileError, match="can't be read: No such file") as stop:
-        read_calibration(tmp_path / "absent.json")
+        read_calibration(tmp_path / "absent.json", arm=GALEN)
     assert isinstance(stop.value.__cause__, FileNotFoundError)
     (tmp_path / "bad.json").write_text("{")
     with pytest.raises(CalibrationFileError, match="not JSON") as stop:
-        read_calibration(tmp_path / "bad.json")
+        read_calibration(tmp_path / "bad.json", arm=GALEN)
     assert not isinstance(stop.value.__cause__, OSError)
 
 
@@ -259,7 +271,7 @@ def test_a_file_of_another_base_or_geometry_is_rejected(tmp_path, text, base_fra
     arm = read_arm(STOOD, base_frame="base_link")
     at = np.array([0.2, -1.2, 1.6, -1.2, -1.57, 0.3])
     path = tmp_path / "pointer.json"
-    write_calibration(path, calibration(arm=arm, zeroing=zeroed_at(at, arm)))
+    write_calibration(path, calibration(arm=arm, zeroing=zeroed_at(at, arm=arm)))
     assert read_calibration(path, arm).zero_angles.tolist() == at.tolist()
     other = read_arm(text, base_frame=base_frame)
     with pytest.raises(CalibrationFileError, match=rf"{angle} rad off .* at most 0.02 rad"):

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from galen_model.arm.galen import GALEN
 from galen_model.errors import CalibrationFileError, GalenError, ToolNameError
 from galen_model.files import atomic_file as atomic_file
 from galen_model.files import calibration_store as tool_store
@@ -26,7 +27,7 @@ from model_files import calibration
 @pytest.fixture
 def store(tmp_path: Path) -> CalibrationStore:
     """A pointer with a calibration before it, and a retractor."""
-    store = CalibrationStore(tmp_path / "tools")
+    store = CalibrationStore(tmp_path / "tools", arm=GALEN)
     for tool in (
         calibration("pointer", 0.05),
         calibration("pointer"),
@@ -41,7 +42,7 @@ def masses(store: CalibrationStore) -> dict[str, float]:
     found = {}
     for path in store.directory.iterdir():
         try:
-            found[path.name] = read_calibration(path).load.mass_kg
+            found[path.name] = read_calibration(path, arm=GALEN).load.mass_kg
         except GalenError:
             continue
     return found
@@ -78,7 +79,7 @@ def test_broken_files_are_listed_by_name(store: CalibrationStore, tmp_path: Path
     assert set(problems) == set(words)
     for name, word in words.items():
         assert word in problems[name] and name in problems[name]
-    assert list(CalibrationStore(tmp_path / "none").entries()) == []
+    assert list(CalibrationStore(tmp_path / "none", arm=GALEN).entries()) == []
 
 
 def test_a_link_within_the_directory_and_a_linked_directory_are_read(
@@ -90,7 +91,7 @@ def test_a_link_within_the_directory_and_a_linked_directory_are_read(
     write_calibration(data / "drill.json", calibration("drill"))
     (store.directory / "drill.json").symlink_to("..data/drill.json")
     (tmp_path / "linked").symlink_to(store.directory)
-    assert CalibrationStore(tmp_path / "linked").read("drill").tool.tool == "drill"
+    assert CalibrationStore(tmp_path / "linked", arm=GALEN).read("drill").tool.tool == "drill"
 
 
 @pytest.mark.parametrize("name", ["../outside", "a/b", "", ".", "pointer.json", "a\0", "ä"])
@@ -118,7 +119,7 @@ def test_rename_takes_the_name_inside_and_the_backup_along(store: CalibrationSto
     assert renamed.tool.tool == "probe" and renamed.sha256 == store.read("probe").sha256
     assert masses(store) == {"probe.json": 0.06, "probe.json.bak": 0.05, "retractor.json": 0.2}
     assert json.loads(renamed.content) == content | {"tool": "probe"}
-    assert read_calibration(store.directory / "probe.json.bak").tool == "probe"
+    assert read_calibration(store.directory / "probe.json.bak", arm=GALEN).tool == "probe"
     with pytest.raises(CalibrationFileError) as missing:
         store.rename("pointer", "again")
     assert isinstance(missing.value.__cause__, FileNotFoundError)
@@ -138,7 +139,7 @@ def test_rename_never_overwrites(store: CalibrationStore) -> None:
     (store.directory / "probe.json.bak").write_text("an old one")
     store.rename("pointer", "probe")
     assert (store.directory / "probe.json.bak.removed").read_text() == "an old one"
-    assert read_calibration(store.directory / "probe.json.bak").load.mass_kg == 0.05
+    assert read_calibration(store.directory / "probe.json.bak", arm=GALEN).load.mass_kg == 0.05
 
 
 def steps(monkeypatch: pytest.MonkeyPatch, fail_at: int, error: type[BaseException]) -> None:
@@ -307,7 +308,7 @@ def test_a_broken_file_is_reverted_and_links_within_swap_their_names(
     (store.directory / "retractor.json.bak").symlink_to("..data/retractor.json")
     assert store.revert("retractor").tool.load.mass_kg == 0.19
     assert store.previous("retractor").tool.load.mass_kg == 0.2
-    assert read_calibration(data / "retractor.json").load.mass_kg == 0.19
+    assert read_calibration(data / "retractor.json", arm=GALEN).load.mass_kg == 0.19
 
 
 @pytest.mark.parametrize("fail_at", range(1, 6))
@@ -358,7 +359,7 @@ def test_a_broken_file_can_be_removed_and_a_link_never_takes_its_target(
     for rejected in (lambda: store.remove("link"), lambda: store.rename("link", "new")):
         with pytest.raises(CalibrationFileError, match="leads out of"):
             rejected()
-    assert read_calibration(outside).tool == "link"
+    assert read_calibration(outside, arm=GALEN).tool == "link"
 
 
 def test_without_hard_links_it_works_as_well(

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN, WRENCH_AXES
+from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 
 SECONDS = 120.0
@@ -144,7 +144,7 @@ class StreamSeries:
 class History:
     """What the plots show: raw and compensated wrench (6), deflection (6), joints (n); SI."""
 
-    def __init__(self, arm: Arm = GALEN) -> None:
+    def __init__(self, arm: Arm) -> None:
         self.raw = StreamSeries(6)
         self.compensated = StreamSeries(6)
         self.deflection = StreamSeries(6)

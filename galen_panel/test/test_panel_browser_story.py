@@ -7,6 +7,7 @@ from urllib.parse import urlsplit
 import pytest
 import rclpy
 from browser_look import COMPENSATED, RAW, force_rms, rows
+from galen_model.arm.galen import GALEN
 from galen_model.files.calibration_file import calibration_path, read_calibration
 from galen_model.load.model import TOOLS
 from panel_processes import PanelWorld
@@ -103,7 +104,7 @@ def test_a_calibration_is_seen_by_everybody_and_kept(page, second_browser, world
         one.says("outcome", "Calibrated", "pointer", patience_s=3 * PATIENCE_S)
         one.says("beside", "before", "new", "difference")
         one.wait(lambda one=one: one.usable("keep"), "keep", PATIENCE_S)
-    file = read_calibration(calibration_path(world.tools_dir, "pointer"))
+    file = read_calibration(calibration_path(world.tools_dir, "pointer"), arm=GALEN)
     assert file.poses_used == 12
     assert file.load.mass_kg == pytest.approx(TOOLS["pointer"].load.mass_kg, abs=5e-4)
     grams = f"{1e3 * file.load.mass_kg:.2f}"

@@ -4,6 +4,7 @@ import shutil
 from pathlib import Path
 
 import pytest
+from galen_model.arm.galen import GALEN
 from galen_panel.recordings.recordings import (
     Recordings,
     find_recordings,
@@ -178,13 +179,12 @@ def test_the_tools_to_choose_from(archive, tmp_path):
     by_name = {one.name: one for one in find_recordings(archive)[0]}
 
     def ids(name):
-        return [one.id for one in tool_choices(by_name[name], archive, store)]
+        return [one.id for one in tool_choices(by_name[name], archive, store, arm=GALEN)]
 
     assert ids("plain") == ["tools:pointer", "bags:pointer", "bags:retractor"]
     assert ids("set") == ["beside", *ids("plain")] == ids("set/sweep")
-    assert [one.id for one in tool_choices(by_name["plain"], archive, archive / "tools")] == [
-        "tools:pointer", "tools:retractor",
-    ]  # fmt: skip
+    other = tool_choices(by_name["plain"], archive, archive / "tools", arm=GALEN)
+    assert [one.id for one in other] == ["tools:pointer", "tools:retractor"]
 
 
 def test_a_recording_that_broke_since_the_search_is_rejected(archive, tmp_path):

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from galen_bags.formats.writer import BagWriter
 from galen_model.arm.description import read_arm
+from galen_model.arm.galen import GALEN
 from galen_model.files.calibration_file import (
     CalibrationFile,
     LoadEstimate,
@@ -159,7 +160,7 @@ def test_a_diagnosis_finds_its_cause_and_its_page_runs_nothing(make, tmp_path):
     from galen_sim_driver.effects.joints import JointGain
 
     folder = tmp_path / "bags"
-    make_recording(folder / "tilted", [JointGain("tilt", 0.02)], seed=13)
+    make_recording(folder / "tilted", [JointGain("tilt", 0.02)], seed=13, arm=GALEN)
     recordings = make(folder)
     found = next(one for one in recordings.search() if one.name == "tilted")
     answer = recordings.start(found.id, "beside")

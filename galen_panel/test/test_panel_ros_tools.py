@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from galen_gravcomp.node import GravcompNode
+from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import calibration_path, read_calibration, write_calibration
 from galen_panel.ros import board as ros_board
@@ -40,7 +41,7 @@ def tools_dir(tmp_path):
     folder = tmp_path / "tools"
     folder.mkdir()
     shutil.copy(TOOLS / "retractor.json", folder)
-    pointer = read_calibration(TOOLS / "retractor.json")
+    pointer = read_calibration(TOOLS / "retractor.json", arm=GALEN)
     for mass_kg in (0.050, 0.060):
         load = replace(pointer.load, mass_kg=mass_kg)
         write_calibration(folder / "pointer.json", replace(pointer, tool="pointer", load=load))
@@ -94,7 +95,7 @@ def test_the_tools_are_listed_with_their_numbers_as_soon_as_gravcomp_is_there(
     state = with_gravcomp.state
     assert names(state) == ["drill", "pointer", "retractor"]
     assert state.tools_dir == str(tools_dir)
-    file = read_calibration(tools_dir / "retractor.json")
+    file = read_calibration(tools_dir / "retractor.json", arm=GALEN)
     listed = tool(state, "retractor")
     assert listed.mass_kg == file.load.mass_kg
     assert listed.com_m == tuple(file.load.com_m)
@@ -151,7 +152,7 @@ def test_a_calibration_is_compared_with_the_one_before_and_reverted_to_it(with_g
     answer = world.ask(world.suite.revert_tool("pointer"))
     assert answer.ok
     assert tool(world.state, "pointer").mass_kg == 0.050
-    assert read_calibration(calibration_path(tools_dir, "pointer")).load.mass_kg == 0.050
+    assert read_calibration(calibration_path(tools_dir, "pointer"), arm=GALEN).load.mass_kg == 0.050
     answer = world.ask(world.suite.revert_tool("retractor"))
     assert not answer.ok
 

@@ -27,7 +27,7 @@ from galen_sim_driver.effects.registry import identities
 from galen_sim_driver.plant.config import HandPush, PlantConfig, Pose, Vector3
 
 _NUMBERS_A_PUSH = 8
-_DEFAULT = PlantConfig()
+_DEFAULT = PlantConfig(arm=GALEN)
 
 
 def _flat(vectors: Iterable[Iterable[float]]) -> list[float]:
@@ -147,9 +147,9 @@ class DriverParameters:
                 f"parameter 'hand_frames' has {len(self.hand_frames)} entries for {pushes} pushes"
             )
         # Where the joints start is checked with the arm.
-        dataclasses.replace(self, start_joints=()).plant_config().validate()
+        dataclasses.replace(self, start_joints=()).plant_config(GALEN).validate()
 
-    def plant_config(self, arm: Arm = GALEN) -> PlantConfig:
+    def plant_config(self, arm: Arm) -> PlantConfig:
         """Return the configuration of a plant with this arm."""
         com = np.reshape(self.tool_com_m, (-1, 3))
         tip = np.reshape(self.tool_tip_m, (-1, 3))

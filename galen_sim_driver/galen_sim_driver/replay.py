@@ -23,7 +23,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN
 from galen_model.arm.sensor_motion import SensorMotion, sensor_motion
 from galen_model.arrays import Array
 from galen_model.load.inertia import inertial_wrench, point_mass_inertia
@@ -89,7 +88,7 @@ class Scene:
     tool: ToolGeometry
     adapter: Load
     zero_pose_rad: tuple[float, ...] | None = None
-    arm: Arm = GALEN
+    arm: Arm = field(kw_only=True)
     inertia_kg_m2: Array | None = None
     nominal: tuple[Effect, ...] = ()
     compliances: dict[tuple[Any, ...], Array] = field(

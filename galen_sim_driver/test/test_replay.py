@@ -65,6 +65,7 @@ def scene(bag="motion", **changes):
         tool=TOOL,
         adapter=ADAPTER,
         zero_pose_rad=BIAS,
+        arm=GALEN,
     )
     return replace(first, **changes)
 
@@ -79,7 +80,7 @@ def held(joints):
 STILL = np.array([0.03, -0.02, 0.45, 0.4, -0.5])
 WHEN = scene().instants(WRENCH_S)
 JOINTS = np.stack([np.interp(WRENCH_S, JOINT_S, q) for q in joints_at(JOINT_S).T], axis=1)
-NOMINAL = nominal_reading(JOINTS[:, 3:], TOOL.load, ADAPTER, BIAS)
+NOMINAL = nominal_reading(JOINTS[:, 3:], TOOL.load, ADAPTER, BIAS, arm=GALEN)
 
 
 def sensor_by_pinocchio(joints, roll_axis=(0.0, 0.0, 0.0), tilt_axis=(0.0, 0.0, 0.0)):
@@ -230,7 +231,7 @@ def test_the_sensors_errors_come_one_after_the_other_and_a_push_is_found_behind_
 def test_a_late_wrench_is_that_of_the_joints_before():
     found = Replay(scene(), [WrenchDelay(0.02)]).reading()
     sooner = joints_at(WRENCH_S - 0.02)
-    expected = nominal_reading(sooner[:, 3:], TOOL.load, ADAPTER, BIAS)
+    expected = nominal_reading(sooner[:, 3:], TOOL.load, ADAPTER, BIAS, arm=GALEN)
     assert np.abs(found - expected).max() < 3e-5  # straight lines between samples of 4 ms
     assert np.abs(NOMINAL - expected).max() > 0.01
 
@@ -295,7 +296,7 @@ def test_an_effects_numbers_survive_a_file(name):
     assert default.changes_nothing
     assert not effect.changes_nothing
     told = json.loads(json.dumps(contract_parameters(effect) | extra_parameters(effect)))
-    again = effect_from(effect.name, told)
+    again = effect_from(effect.name, told, arm=GALEN)
     assert again == effect
     assert np.array_equal(again.vector(), effect.vector())
 
@@ -333,7 +334,7 @@ def test_by_default_an_effect_changes_nothing(name):
 )
 def test_bad_numbers_are_named(name, parameters, words):
     with pytest.raises(GalenError, match=words):
-        effect_from(name, parameters)
+        effect_from(name, parameters, arm=GALEN)
 
 
 @pytest.mark.parametrize(
@@ -351,4 +352,4 @@ def test_bad_numbers_are_named(name, parameters, words):
     ],
 )
 def test_reads_the_names_from_before_effects_had_joints(name, parameters, effect):
-    assert effect_from(name, parameters) == effect
+    assert effect_from(name, parameters, arm=GALEN) == effect

@@ -24,7 +24,7 @@ TOOL_INERTIA = (1e-4, 5e-4, 4.5e-4, -3e-5, 2e-5, 1e-5)
 
 
 def make_plant(tool="retractor", seed=0, **changes):
-    plant = Plant(replace(PlantConfig(), **changes), np.random.default_rng(seed))
+    plant = Plant(replace(PlantConfig(arm=GALEN), **changes), np.random.default_rng(seed))
     plant.attach_tool(tool)
     return plant
 
@@ -52,7 +52,9 @@ SWUNG = InertialLoad(
 
 
 def test_none_is_there_by_default_and_any_leaves_the_noise_what_it_is():
-    assert effects_of(EffectParameters()) == DriverParameters().plant_config().effects == ()
+    assert (
+        effects_of(EffectParameters()) == DriverParameters().plant_config(arm=GALEN).effects == ()
+    )
     # Without a tool none of these shows.
     nominal, other = make_plant(""), make_plant("", effects=(SWUNG, CABLE, LooseTool(0.01)))
     nominal.start_hand()
@@ -77,7 +79,9 @@ def test_without_them_the_plant_reads_as_it_did_before_there_were_any():
 
 
 def inertial_wrench(load, about_com, joints, velocities, accelerations):
-    motion = sensor_motion(*(np.atleast_2d(part) for part in (joints, velocities, accelerations)))
+    motion = sensor_motion(
+        *(np.atleast_2d(part) for part in (joints, velocities, accelerations)), arm=GALEN
+    )
     at = Posture(
         np.atleast_2d(joints), None, None, np.zeros((1, 3)), motion, load, Load(0.0, np.zeros(3)),
         np.zeros(3), GALEN,

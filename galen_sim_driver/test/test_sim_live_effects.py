@@ -46,6 +46,7 @@ EXACT = PlantConfig(
     quantise=False,
     tracker_rate_hz=50.0,
     hand=PUSHES,
+    arm=GALEN,
 )
 BASE = BASE_IN_TRACKER
 IDENTITIES = identities(GALEN)
@@ -71,6 +72,7 @@ def run(effects):
         tracker_s=stamps[looks] + plant.tracker_delay_ns * 1e-9,
         tool=TOOLS["retractor"],
         adapter=ADAPTER,
+        arm=GALEN,
     )
     return scene, [samples[k].tracker for k in looks]
 
@@ -166,7 +168,7 @@ def test_every_number_of_an_effect_is_a_parameter_of_the_driver(name):
 def test_effects_become_a_parameter_file():
     step = BiasStep(2.0, (0.1,) * 6, "push")
     effects = [
-        effect_from("joint_zero_offset", {"joint": "tilt", "offset_rad": 0.012}),
+        effect_from("joint_zero_offset", {"joint": "tilt", "offset_rad": 0.012}, arm=GALEN),
         SensorDrift((1.0,) * 6),
         step,
     ]
@@ -202,7 +204,7 @@ def test_bad_values_are_named(changes, words):
 def test_the_noise_is_the_same_with_and_without():
     noisy = replace(EXACT, noise=True)
     offset = BiasStep(0.0, (0.5, -0.5, 0.25, 0.125, 0.0, 0.0))
-    scale = effect_from("tracker_scale", {"gain": 0.01})
+    scale = effect_from("tracker_scale", {"gain": 0.01}, arm=GALEN)
     plain, other = (
         Plant(replace(noisy, effects=effects), np.random.default_rng(1))
         for effects in ((), (offset, scale))

@@ -190,7 +190,7 @@ def test_effects_are_parameters_and_their_delays_are_in_the_stamps(harness):
     # The joints say nothing of it.
     assert cell.positions() == pytest.approx(GALEN.home, abs=1e-9)
     tool = TOOLS["pointer"].load
-    expected = nominal_reading((0.0, 0.1), tool, ADAPTER, (0.0, 0.1))
+    expected = nominal_reading((0.0, 0.1), tool, ADAPTER, (0.0, 0.1), arm=GALEN)
     assert wrench_to_array(cell.wrenches[-1]) == pytest.approx(expected, abs=1e-9)
     assert cell.value("effects") == "joint_zero_offset:tilt, wrench_delay, tracker_delay"
 
@@ -231,7 +231,7 @@ def test_real_time_stamps_are_system_time_without_a_clock(harness):
 def test_zero_ft_sensor_zeroes_here_and_answers_when_done(harness):
     cell = Cell(harness, speed_factor=2.0, seed=3, initial_tool="retractor")
     before = cell.fresh_wrenches(100).mean(axis=0)
-    expected = nominal_reading((0.0, 0.0), TOOLS["retractor"].load, Load(0.0))
+    expected = nominal_reading((0.0, 0.0), TOOLS["retractor"].load, Load(0.0), arm=GALEN)
     assert np.all(np.abs(before - expected) < 5 * SIGMA / np.sqrt(100))
     asked_ns = cell.sim_now_ns()
     response = cell.call(cell.bias, Trigger.Request())
@@ -267,7 +267,7 @@ def test_a_tool_adds_its_weight_and_its_marker(cell):
     assert response.com_m.tolist() == [0.07, -0.01, 0.055]
     assert response.tip_m.tolist() == [0.18, 0.01, 0.05]
     heavy = cell.fresh_wrenches(400).mean(axis=0)
-    expected = nominal_reading((0.0, 0.0), TOOLS["retractor"].load, ADAPTER)
+    expected = nominal_reading((0.0, 0.0), TOOLS["retractor"].load, ADAPTER, arm=GALEN)
     assert np.all(np.abs(heavy - bare - expected) < 5 * SIGMA * np.sqrt(2 / 400))
     cell.wait(lambda: cell.tool_poses, "the tool's marker")
     cell.wait(lambda: cell.value("tool") == "retractor", "the tool on /diagnostics")

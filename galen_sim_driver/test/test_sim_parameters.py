@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
 from galen_sim_driver.node import Pacer, SpeedMeter
 from galen_sim_driver.parameters import DriverParameters
@@ -22,7 +23,7 @@ def test_the_defaults_are_the_nominal_cell():
         plant.start_hand()
         return [plant.step() for _ in range(1000)]
 
-    assert run(DEFAULT.plant_config()) == run(PlantConfig())
+    assert run(DEFAULT.plant_config(arm=GALEN)) == run(PlantConfig(arm=GALEN))
 
 
 def test_tools_and_hand_are_read_from_flat_lists():
@@ -36,7 +37,7 @@ def test_tools_and_hand_are_read_from_flat_lists():
         hand_frames=("tip",),
     )
     parameters.validate()
-    config = parameters.plant_config()
+    config = parameters.plant_config(arm=GALEN)
     assert config.tools["b"].load.mass_kg == 0.2
     assert config.tools["b"].load.com_m.tolist() == [4.0, 5.0, 6.0]
     assert config.tools["a"].tip_m.tolist() == [0.1, 0.2, 0.3]
@@ -47,7 +48,7 @@ def test_tools_and_hand_are_read_from_flat_lists():
 
 def test_the_admittance_timeout_is_wall_time_above_real_time():
     for speed, wanted in ((1.0, 0.05), (6.0, 0.3), (0.5, 0.05)):
-        config = replace(DEFAULT, speed_factor=speed).plant_config()
+        config = replace(DEFAULT, speed_factor=speed).plant_config(arm=GALEN)
         assert config.admittance_timeout_s == pytest.approx(wanted)
 
 
@@ -72,7 +73,7 @@ def test_bad_values_are_named(changes, words):
 
 
 def test_the_start_is_checked_against_the_arm():
-    config = replace(DEFAULT, start_joints=(0.0,) * 4).plant_config()
+    config = replace(DEFAULT, start_joints=(0.0,) * 4).plant_config(arm=GALEN)
     with pytest.raises(GalenError, match=r"start_joints.*4 numbers.*5: delta_x, delta_y"):
         config.validate()
 

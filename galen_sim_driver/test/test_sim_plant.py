@@ -17,7 +17,7 @@ TURNED = (0.03, -0.05, 0.45, 0.8, -0.6)
 
 
 def make_plant(seed=0, **changes):
-    return Plant(replace(PlantConfig(), **changes), np.random.default_rng(seed))
+    return Plant(replace(PlantConfig(arm=GALEN), **changes), np.random.default_rng(seed))
 
 
 def go_to(plant, joints, duration_s=2.0, steps=1500):
@@ -37,7 +37,7 @@ def test_the_reading_is_the_nominal_model_exactly(tool):
     for roll, tilt in rng.uniform([-1.57, -1.04], [1.57, 0.96], (20, 2)):
         plant = make_plant(**EXACT, start_joints=(0.0, 0.0, 0.4, roll, tilt))
         plant.attach_tool(tool)
-        expected = nominal_reading(np.stack([roll, tilt], axis=-1), load, ADAPTER)
+        expected = nominal_reading(np.stack([roll, tilt], axis=-1), load, ADAPTER, arm=GALEN)
         assert np.abs(plant.step().wrench - expected).max() < 1e-12
 
 
@@ -102,7 +102,7 @@ def test_noise_has_the_configured_size_quantum_included():
     sigma = np.sqrt(SENSOR.noise_std**2 + SENSOR.quantum**2 / 12)
     # Five standard deviations of a standard deviation and of a mean of this many samples.
     assert np.all(np.abs(readings.std(axis=0) / sigma - 1) < 5 / np.sqrt(2 * count))
-    expected = nominal_reading((0.0, 0.0), Load(0.0), ADAPTER)
+    expected = nominal_reading((0.0, 0.0), Load(0.0), ADAPTER, arm=GALEN)
     assert np.all(np.abs(readings.mean(axis=0) - expected) < 5 * sigma / np.sqrt(count))
     # White: neighbouring samples have nothing to do with each other.
     centred = readings - readings.mean(axis=0)
@@ -135,7 +135,7 @@ def test_zeroing_subtracts_the_mean_of_the_window():
     sigma = np.sqrt(SENSOR.noise_std**2 + SENSOR.quantum**2 / 12)
     deviation = np.abs(after.mean(axis=0))
     assert np.all(deviation < 5 * sigma * np.sqrt(1 / 250 + 1 / 5000))
-    expected = nominal_reading((0.8, -0.6), TOOLS["pointer"].load, ADAPTER)
+    expected = nominal_reading((0.8, -0.6), TOOLS["pointer"].load, ADAPTER, arm=GALEN)
     assert np.all(np.abs(during.mean(axis=0) - expected) < 5 * sigma / np.sqrt(250))
     assert plant.zero_angles == [0.8, -0.6]
 
@@ -148,7 +148,9 @@ def test_zeroing_without_noise_is_the_contracts_bias():
         plant.step()
     plant.attach_tool("retractor")
     samples = go_to(plant, (0.0, 0.0, 0.408, -0.5, 0.4))
-    expected = nominal_reading((-0.5, 0.4), TOOLS["retractor"].load, ADAPTER, (0.8, -0.6))
+    expected = nominal_reading(
+        (-0.5, 0.4), TOOLS["retractor"].load, ADAPTER, (0.8, -0.6), arm=GALEN
+    )
     assert np.abs(samples[-1].wrench - expected).max() < 1e-12
 
 
@@ -186,7 +188,7 @@ def test_a_quintic_to_a_pose_arrives_exactly_and_in_time():
     samples = go_to(plant, TURNED)
     assert samples[-1].true_joints == list(TURNED)
     at_end = samples[999]
-    assert at_end.stamp_ns == PlantConfig().start_ns + 2_000_000_000
+    assert at_end.stamp_ns == PlantConfig(arm=GALEN).start_ns + 2_000_000_000
     assert at_end.true_joints == list(TURNED)
     assert samples[998].true_joints != list(TURNED)
     assert not plant.moving
@@ -408,7 +410,7 @@ def noisy_turn(seed, admittance):
     for _ in range(1000):
         sample = plant.step()
         way.append(sample.true_joints[3:])
-        expected = nominal_reading(way[-1], TOOLS["retractor"].load, ADAPTER)
+        expected = nominal_reading(way[-1], TOOLS["retractor"].load, ADAPTER, arm=GALEN)
         plant.admittance.feed(sample.stamp_ns, list(np.array(sample.wrench) - expected))
     return np.array(way)
 

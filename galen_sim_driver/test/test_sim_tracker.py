@@ -27,7 +27,7 @@ POSES = RNG.uniform(GALEN.lower, GALEN.upper, (25, 5))
 
 
 def make_plant(seed=0, **changes):
-    config = replace(PlantConfig(), start_joints=TURNED, **changes)
+    config = replace(PlantConfig(arm=GALEN), start_joints=TURNED, **changes)
     plant = Plant(config, np.random.default_rng(seed))
     plant.attach_tool("pointer")
     return plant

@@ -14,6 +14,7 @@ import sys
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -63,6 +64,7 @@ from galen_model.files.calibration_file import (  # noqa: E402
     LoadEstimate,
     read_calibration,
     write_calibration,
+    zeroed_at,
 )
 from galen_model.files.calibration_store import CalibrationStore  # noqa: E402
 from galen_model.files.comparison import compare_calibrations  # noqa: E402
@@ -120,6 +122,8 @@ def a_tool(name: str = "file", mass_kg: float = 0.06) -> CalibrationFile:
         poses_used=56,
         calibrated_at="2026-01-01T00:00:00+00:00",
         poses_rejected=("with the tool, pose 3: moved",),
+        arm=GALEN,
+        zeroing=zeroed_at(arm=GALEN),
     )
 
 
@@ -143,9 +147,9 @@ def _tool_contents() -> list[dict]:
 
 def use_tool(path: Path) -> None:
     """Read, predict, compare, write, read again."""
-    store = CalibrationStore(path.parent)
+    store = CalibrationStore(path.parent, arm=GALEN)
     entry = next(store.entries([path.stem]))
-    tool = read_calibration(path)  # its error ends it
+    tool = read_calibration(path, arm=GALEN)  # its error ends it
     if tool.tool == path.stem:
         assert entry.stored is not None and entry.stored.tool.to_json() == tool.to_json()
     assert tool.load.mass_kg > 0.0 and tool.adapter.mass_kg >= 0.0
@@ -157,7 +161,7 @@ def use_tool(path: Path) -> None:
     )
     again = path.with_name("again.json")
     write_calibration(again, tool)
-    assert read_calibration(again).to_json() == tool.to_json()
+    assert read_calibration(again, arm=GALEN).to_json() == tool.to_json()
     again.with_name("again.json.bak").unlink(missing_ok=True)
     again.unlink()
 
@@ -192,14 +196,14 @@ def use_model(path: Path) -> None:
     """Read as it is and signed, predict, write, read again."""
     data = path.read_bytes()
     path.write_bytes(signed(data))
-    model = read_model(path)
+    model = read_model(path, arm=GALEN)
     stream = model.stream()
     for k in range(3):
         predicted = stream.step(k * 2_000_000, JOINTS, np.array([1.0, -2.0, 3.0, 0.1, 0.0, -0.1]))
         assert np.isfinite(predicted.mean).all() and np.isfinite(predicted.covariance).all()
     again = path.with_name("again.json")
     write_model(again, model)
-    assert read_model(again).to_json() == model.to_json()
+    assert read_model(again, arm=GALEN).to_json() == model.to_json()
     again.with_name("again.json.bak").unlink(missing_ok=True)
     again.unlink()
 
@@ -211,7 +215,13 @@ def use_table(path: Path) -> None:
     """By every reader of tables; one that rejects leaves the others their turn."""
     rejected: GalenError | None = None
     columns = JointColumns(motor="gx", link="gy", torque="gz", t="t")
-    for read in (read_table, _in_base, read_wrenches, read_orientations):
+    readers = (
+        partial(read_table, arm=GALEN),
+        partial(read_table, wrench_frame="base", arm=GALEN),
+        read_wrenches,
+        partial(read_orientations, arm=GALEN),
+    )
+    for read in readers:
         try:
             found = read(path)
         except GalenError as error:
@@ -226,10 +236,6 @@ def use_table(path: Path) -> None:
         rejected = rejected or error
     if rejected is not None:
         raise rejected
-
-
-def _in_base(path: Path) -> object:
-    return read_table(path, wrench_frame="base")
 
 
 def _check_table(part: object) -> None:
@@ -274,7 +280,7 @@ def use_convert(path: Path) -> None:
             assert not bag.exists()
             rejected = error
             continue
-        arm = read_arm(bag)
+        arm = read_arm(bag, arm=GALEN)
         assert f"joint_states: {len(arm.joints)} messages" in written
         assert f"wrench_raw: {len(arm.wrenches)} messages" in written
         assert np.isfinite(arm.joints).all() and np.isfinite(arm.wrenches).all()
@@ -287,12 +293,12 @@ def use_motion(path: Path) -> None:
     """As `score_motion` and `drift` read tables, of wrenches, orientations and accelerations."""
     rejected: GalenError | None = None
     try:
-        run = read_motion(path, path, path, 1.0, 9.80665)
+        run = read_motion(path, path, path, 1.0, 9.80665, arm=GALEN)
         for part in (run.wrench_s, run.wrench, run.imu_s, run.specific, run.gravity_s, run.gravity):
             assert np.isfinite(part).all()
     except GalenError as error:
         rejected = error
-    series = read_series([path], ArmTopics(), cell_s=10.0)
+    series = read_series([path], ArmTopics(), cell_s=10.0, arm=GALEN)
     assert series.samples > 0 and series.reading.shape[1] == 6
     if rejected is not None:
         raise rejected
@@ -343,7 +349,7 @@ def use_bag(path: Path) -> None:
             assert (block.start + block.size <= len(block.data)).all()
         for problem in bag.problems:
             assert "\n" not in problem and len(problem) < LONGEST_MESSAGE
-    arm = read_arm(bag_path)
+    arm = read_arm(bag_path, arm=GALEN)
     assert arm.joints.shape == (len(arm.joint_stamp_ns), 5) and len(arm.joints)
     assert arm.wrenches.shape == (len(arm.wrench_stamp_ns), 6) and len(arm.wrenches)
 

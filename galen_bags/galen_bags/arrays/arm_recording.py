@@ -16,7 +16,6 @@ from pathlib import Path
 
 import numpy as np
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_ros.arm import ArmParameters
@@ -325,7 +324,7 @@ class ArmReader:
         bag: Bag,
         topics: ArmTopics | None = None,
         *,
-        arm: Arm = GALEN,
+        arm: Arm,
         all_topics: bool = False,
         start_s: float = 0.0,
         duration_s: float | None = None,
@@ -486,7 +485,8 @@ class ArmRecording:
 def read_arm(
     path: str | os.PathLike[str],
     topics: ArmTopics | None = None,
-    arm: Arm = GALEN,
+    *,
+    arm: Arm,
     progress: Callable[[Iterator[ArmBlock]], Iterable[ArmBlock]] = iter,
 ) -> ArmRecording:
     """Read a bag's joint states and wrenches; `progress` wraps the blocks as they are read.

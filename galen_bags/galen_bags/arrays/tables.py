@@ -325,7 +325,8 @@ def read_table(
     path: str | os.PathLike[str],
     columns: Sequence[str] | None = None,
     wrench_frame: str = "sensor",
-    arm: Arm = GALEN,
+    *,
+    arm: Arm,
 ) -> OrientationTable:
     """Read a table; `columns` names the columns of a file without a first line of names.
 
@@ -378,7 +379,7 @@ def read_wrenches(
 
 
 def read_orientations(
-    path: str | os.PathLike[str], columns: Sequence[str] | None = None, arm: Arm = GALEN
+    path: str | os.PathLike[str], columns: Sequence[str] | None = None, *, arm: Arm
 ) -> tuple[Array, Array]:
     """Read times (n,) as the file has them and gravity (n, 3), m/s^2, of a table without wrenches.
 
@@ -595,7 +596,7 @@ def read_motion(
     orientations_file: Path,
     time_unit_s: float,
     imu_unit_m_s2: float,
-    arm: Arm = GALEN,
+    arm: Arm,
 ) -> MotionTable:
     """Return a run's tables; without an IMU its arrays are empty. Raises GalenError."""
     wrench_t, wrench = read_wrenches(wrench_file)

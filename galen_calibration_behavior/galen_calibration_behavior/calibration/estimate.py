@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN, WRENCH_AXES
+from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.errors import (
     CalibrationFileError,
@@ -88,7 +88,7 @@ def check_writable(path: Path) -> None:
         raise CalibrationFileError(f"{path.parent}: can't be written to")
 
 
-def choose_tip(tip_m: Array, path: Path, arm: Arm = GALEN) -> tuple[Array, list[str]]:
+def choose_tip(tip_m: Array, path: Path, arm: Arm) -> tuple[Array, list[str]]:
     """Return the tip (3,) for the new file, m in ft_sensor, and warnings.
 
     `tip_m` itself or, where all of it is NaN, that of the old file at `path`, else (0, 0, 0).
@@ -164,7 +164,7 @@ def estimate(
         residual_offset=found.offset,
         gravity_m_s2=arm.gravity_m_s2,
         arm=arm,
-        zeroing=zeroed_at(measurements.zero_angles, arm) if found.zeroed else None,
+        zeroing=zeroed_at(measurements.zero_angles, arm=arm) if found.zeroed else None,
         poses_rejected=(*measurements.rejected, *_outliers(found, measurements)),
         unresolved=found.unresolved,
         mounting=found.mounting,

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.load.identification import StillPoses
 from galen_model.rest.segments import PoseRecord, StillnessSettings, wrench_fault
@@ -152,7 +151,7 @@ def still_poses(records: Sequence[PoseRecord], arm: Arm, origin_ns: int = 0) -> 
     )
 
 
-def stack(records: Sequence[PoseRecord], arm: Arm = GALEN) -> tuple[Array, Array, Array]:
+def stack(records: Sequence[PoseRecord], arm: Arm) -> tuple[Array, Array, Array]:
     """Return angles (n, k), wrench (n, 6) and its std_of_mean (n, 6) of the records."""
     joints = np.array([r.joints for r in records]).reshape(-1, len(arm.joints))
     return (

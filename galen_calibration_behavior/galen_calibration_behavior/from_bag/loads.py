@@ -57,7 +57,9 @@ def read_recording(options: argparse.Namespace, bag: str) -> ArmRecording:
     A sensor frame that the options name is taken as that of wrenches with one other `frame_id`.
     """
     topics, arm = topics_of(options), options.parameters.arm
-    recording = read_arm(bag, topics, arm, progress(f"reading {Path(bag).name}", "block"))
+    recording = read_arm(
+        bag, topics, arm=arm, progress=progress(f"reading {Path(bag).name}", "block")
+    )
     frames = recording.frame_ids
     if not options.sensor_frame or len(frames) > 1 or frames[0] == arm.sensor_frame:
         return recording

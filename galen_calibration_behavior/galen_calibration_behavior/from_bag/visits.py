@@ -104,7 +104,7 @@ def find_visits(
         min_duration_s=0.0,
         max_stamp_step_s=settings.arrival.max_stamp_step_s,
     )
-    phases = rest_by_joints(recording.joint_stamp_ns, recording.joints, still, settings.arm)
+    phases = rest_by_joints(recording.joint_stamp_ns, recording.joints, still, arm=settings.arm)
     player = _Player(recording, settings)
     visits, short, before = [], [], 0
     for number, rows in enumerate(progress(phases)):

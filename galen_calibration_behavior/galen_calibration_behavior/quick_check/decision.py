@@ -382,7 +382,7 @@ def _readings(
         pull = tool.cable.posterior
         expected = expected + pull.readings(joints)
         unknown = np.mean([np.diag(pull.covariance(q)) for q in joints], axis=0)
-    to_wrench = (tool.mounting or Mounting()).wrench_from_reading
+    to_wrench = (tool.mounting or Mounting.of(tool.arm)).wrench_from_reading
     residual = (wrench - expected) @ to_wrench.T - known_offset
     halves = np.array([record.half_difference for record in records]) / 2.0
     seen = np.maximum(np.mean(std_of_mean**2, axis=0), np.mean(halves**2, axis=0))

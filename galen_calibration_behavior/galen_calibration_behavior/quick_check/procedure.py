@@ -19,7 +19,6 @@ from enum import IntEnum
 import numpy as np
 from galen_model.arm.arm import Arm
 from galen_model.arm.clearance import ObstacleError
-from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import CalibrationFile
@@ -183,7 +182,7 @@ def plan_check(
     times: SweepTimes,
     surroundings: Surroundings,
     tip_m: Array,
-    arm: Arm = GALEN,
+    arm: Arm,
 ) -> SweepPlan:
     """Choose angles (count, k) within `reach_rad` of the joints `here` (n,) and the limits.
 

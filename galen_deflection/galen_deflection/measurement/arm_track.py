@@ -11,7 +11,7 @@ from galen_bags.arrays.arm_recording import ArmReader, Samples, join_samples
 from galen_bags.arrays.timeline import Timeline, interpolated, lay_out, stamp_sentences
 from galen_bags.formats.bag import Bag
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN, SENSOR
+from galen_model.arm.galen import SENSOR
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.prediction import Prediction
@@ -180,7 +180,7 @@ def read_arm_track(
     tool: CalibrationFile,
     *,
     jump_s: float,
-    arm: Arm = GALEN,
+    arm: Arm,
     on_progress: Callable[[int, int | None], None] | None = None,
 ) -> ArmTrack:
     """Compensate a bag's wrenches as the live node does, at the joints of their stamps.

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import CalibrationFile
@@ -53,11 +52,12 @@ def read_recording(
     tool: CalibrationFile,
     marker_offset: bool = False,
     on_progress: Callable[[int, int | None], None] | None = None,
-    arm: Arm = GALEN,
+    *,
+    arm: Arm,
 ) -> Recording:
     """Read and register one bag of an arm; raises GalenError that names the bag."""
     recording = measure_deflection(
-        read_pushes(path, tool, on_progress, arm), marker_offset=marker_offset
+        read_pushes(path, tool, on_progress, arm=arm), marker_offset=marker_offset
     )
     if not len(recording.samples):
         raise DeflectionError(f"{path}: no deflection could be measured in it")
@@ -88,7 +88,7 @@ def measure_deflection(recording: PushRecording, *, marker_offset: bool = False)
                 )
             continue
         try:
-            registration = register(rests, tip_m, marker_offset, arm)
+            registration = register(rests, tip_m, marker_offset, arm=arm)
         except RegistrationError as error:
             why = "" if rests else "".join(f"; {problem}" for problem in recording.problems)
             raise RegistrationError(f"{recording.path}: {error}{why}") from None
@@ -97,7 +97,7 @@ def measure_deflection(recording: PushRecording, *, marker_offset: bool = False)
         tip = Transform(*arm.tip_pose(recording.joints[here], tip_m))
         deflection[here] = registration.tip(recording.marker[here]).displacement_from(tip)
     if all(registration is None for registration in registrations):
-        register([], tip_m)  # raises
+        register([], tip_m, arm=arm)  # raises
 
     noise, bias_drift = _noise(deflection, recording)
     if bias_drift > _BIAS_DRIFTS:

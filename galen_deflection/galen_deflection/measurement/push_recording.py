@@ -26,7 +26,6 @@ from galen_bags.arrays.marker_tracks import MarkerTrack, RawTrack, marker_track,
 from galen_bags.arrays.timeline import Timeline, interpolated
 from galen_bags.formats.bag import open_bag
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_isf
 from galen_model.files.calibration_file import CalibrationFile
@@ -111,7 +110,8 @@ def read_pushes(
     path: str | os.PathLike[str],
     tool: CalibrationFile,
     on_progress: Callable[[int, int | None], None] | None = None,
-    arm: Arm = GALEN,
+    *,
+    arm: Arm,
 ) -> PushRecording:
     """Read a recording of pushes, made with `tool` on.
 

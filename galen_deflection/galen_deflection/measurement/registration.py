@@ -25,7 +25,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_isf
 from galen_model.registration import (
@@ -164,7 +163,7 @@ def _correlation(parts: Sequence[Array]) -> float:
 
 
 def register(
-    rests: Sequence[RestPose], tip_m: Array, estimate_offset: bool = False, arm: Arm = GALEN
+    rests: Sequence[RestPose], tip_m: Array, estimate_offset: bool = False, *, arm: Arm
 ) -> Registration:
     """Register the tracker on rests of the arm; tip_m (3,) in ft_sensor.
 
@@ -202,7 +201,7 @@ def register(
 def _hint(rests: Sequence[RestPose], tip_m: Array, arm: Arm) -> str:
     """Whether an offset of the tool's marker would explain it."""
     try:
-        other = register(rests, tip_m, True, arm)
+        other = register(rests, tip_m, True, arm=arm)
     except RegistrationError:
         return ""
     off = other.tool_marker.displacement_from(IDENTITY)

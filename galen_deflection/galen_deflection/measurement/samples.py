@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array, runs
 from galen_model.errors import GalenError
 
@@ -55,7 +54,7 @@ class DeflectionSamples:
     deflection: Array
     tip_m: Array
     noise: Array
-    arm: Arm = GALEN
+    arm: Arm
 
     def __len__(self) -> int:
         """Return the number of samples."""

@@ -80,7 +80,7 @@ KINDS: dict[str, ModelKind] = {
 """Kinds in the order in which they are listed."""
 
 
-def read_model(path: str | os.PathLike[str], arm: Arm = GALEN) -> DeflectionModel:
+def read_model(path: str | os.PathLike[str], arm: Arm) -> DeflectionModel:
     """Read and check a model's file; raises DeflectionError that names the file and the field.
 
     A model of another arm, which has other joints, is rejected.

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.files.json_fields import (
     FieldError,
@@ -106,7 +105,7 @@ class FittedRange:
     joints_low: Array
     joints_high: Array
     positions: Array | None = None
-    arm: Arm = GALEN
+    arm: Arm = field(kw_only=True)
 
     @classmethod
     def of(cls, joints: Array, wrench: Array, only_nearby: bool, arm: Arm) -> FittedRange:
@@ -173,7 +172,7 @@ class FittedRange:
             rows = len(items(positions, f"{name}.positions"))
             positions = array(positions, f"{name}.positions", (rows, len(arm.joints)))
         wrench_low, wrench_high, joints_low, joints_high = sides
-        return cls(wrench_low, wrench_high, joints_low, joints_high, positions, arm)
+        return cls(wrench_low, wrench_high, joints_low, joints_high, positions, arm=arm)
 
 
 def _distinct(joints: Array, near: Array) -> Array:

@@ -22,7 +22,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.files.json_fields import (
     FieldError,
@@ -264,7 +263,7 @@ class NetworkModel:
     fitted_on: Mapping[str, int]
     iterations: int
     held_out_error: float
-    arm: Arm = GALEN
+    arm: Arm
     name: str = LSTM
     notes: tuple[str, ...] = ()
 

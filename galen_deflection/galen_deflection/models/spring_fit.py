@@ -110,7 +110,7 @@ def _whole_grid(samples: DeflectionSamples, settings: FitSettings) -> SpringBasi
     anywhere = tuple(
         Operator(place, "play", (0.0,) * len(columns)) for place, columns in springs.columns.items()
     )
-    run = SpringRun(SpringBasis(samples.tip_m, anywhere, reference, samples.arm))
+    run = SpringRun(SpringBasis(samples.tip_m, anywhere, reference, arm=samples.arm))
     largest = np.abs(run.loads(samples.joints, samples.wrench)[3]).max(axis=0)
     operators = []
     for place, columns in springs.columns.items():
@@ -121,7 +121,7 @@ def _whole_grid(samples: DeflectionSamples, settings: FitSettings) -> SpringBasi
         operators += [
             Operator(place, shape, tuple((share * loads).tolist())) for shape, share in _EVERY
         ]
-    return SpringBasis(samples.tip_m, tuple(operators), reference, samples.arm)
+    return SpringBasis(samples.tip_m, tuple(operators), reference, arm=samples.arm)
 
 
 class _Candidate(NamedTuple):

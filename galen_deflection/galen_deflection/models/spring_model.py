@@ -12,13 +12,12 @@ is not in it, since it is about the true deflection.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.files.json_fields import (
     FieldError,
@@ -97,7 +96,7 @@ class SpringBasis:
     tip_m: Array
     operators: tuple[Operator, ...] = ()
     reference: Array | None = None
-    arm: Arm = GALEN
+    arm: Arm = field(kw_only=True)
 
     @cached_property
     def kinds(self) -> tuple[Kind, ...]:

@@ -25,7 +25,6 @@ from typing import NamedTuple
 
 import numpy as np
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.rotation import skew
 
@@ -64,7 +63,7 @@ def elastic_joints(arm: Arm) -> list[int]:
     return list(range(0 if arm.delta is None else 3, len(arm.joints)))
 
 
-def kinds(arm: Arm = GALEN) -> tuple[Kind, ...]:
+def kinds(arm: Arm) -> tuple[Kind, ...]:
     """Return the elastic joints in their order, then a delta's carriages and rods.
 
     Nominal compliances 1/k in rad/(N.m) and m/N.
@@ -99,7 +98,7 @@ class Geometry(NamedTuple):
 class Springs:
     """J of the tip, and the wrench there, for many joint vectors."""
 
-    def __init__(self, tip_m: Array, arm: Arm = GALEN) -> None:
+    def __init__(self, tip_m: Array, arm: Arm) -> None:
         """tip_m (3,): in ft_sensor."""
         self._arm = arm
         self._tip_m = np.asarray(tip_m, dtype=float)

@@ -235,7 +235,7 @@ def corrected_tool(
     )
     if arm is recording.arm:
         return corrected
-    zeroing = None if file.zeroing is None else zeroed_at(file.zero_angles, arm)
+    zeroing = None if file.zeroing is None else zeroed_at(file.zero_angles, arm=arm)
     return replace(corrected, made_on=identity(arm), zeroing=zeroing)
 
 

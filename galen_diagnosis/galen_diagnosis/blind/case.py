@@ -103,8 +103,11 @@ def generate(case: Case, directory: Path) -> Truth:
         raise GalenError(f"{case.arm!r} is no arm of the blind check; there are {', '.join(ARMS)}")
     arm = ARMS[case.arm]()
     bags = tuple(b for b in case.bags if case.kind != "ambiguous" or b != "push")
-    session = draw_session(case.seed, bags, arm)
-    changed, truth = Measurement(session, draw_tolerance(case.seed, case.tolerance, arm)), Truth()
+    session = draw_session(case.seed, bags, arm=arm)
+    changed, truth = (
+        Measurement(session, draw_tolerance(case.seed, case.tolerance, arm=arm)),
+        Truth(),
+    )
     if case.kind != "none":
         changed, truth = _hidden(case, _Yardstick(changed))
     directory.mkdir(parents=True, exist_ok=True)

@@ -67,7 +67,7 @@ _POSES, _SAMPLES_A_POSE = 56, 100
 _HISTORY_N = 11.0
 
 
-def draw_tolerance(seed: int, scale: float = 1.0, arm: Arm = GALEN) -> dict[str, Array]:
+def draw_tolerance(seed: int, scale: float = 1.0, *, arm: Arm) -> dict[str, Array]:
     """Draw a healthy arm's differences, cut at two sigma; scale 0 is the nominal one.
 
     Zeros, axes and gears are as many as the arm's angles, lengths as the links that they move;

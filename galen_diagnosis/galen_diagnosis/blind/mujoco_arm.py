@@ -155,7 +155,7 @@ class Plant:
     tool: Body
     adapter: Body
     tip_m: Array
-    arm: Arm = GALEN
+    arm: Arm
     rods_m: Array = field(default_factory=lambda: np.zeros(6))
     zero: Array = field(default_factory=lambda: np.zeros(len(GALEN.joints)))
     gain: Array = field(default_factory=lambda: np.zeros(len(GALEN.joints)))
@@ -203,7 +203,7 @@ def require_mujoco() -> Any:
 class MujocoArm:
     """A plant in MuJoCo."""
 
-    def __init__(self, plant: Plant, nominal: Arm = GALEN) -> None:
+    def __init__(self, plant: Plant, nominal: Arm) -> None:
         """Build the model; nominal: the arm that the drives' kinematics believe in."""
         self.plant = plant
         self._nominal = nominal

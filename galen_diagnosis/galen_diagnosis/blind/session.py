@@ -202,7 +202,7 @@ class Session:
     duration_s: float
 
 
-def draw_session(seed: int, bags: tuple[str, ...] = BAGS, arm: Arm = GALEN) -> Session:
+def draw_session(seed: int, bags: tuple[str, ...] = BAGS, *, arm: Arm) -> Session:
     """Draw the session of a seed with an arm."""
     rng = np.random.default_rng([seed, 1])
     tool = TOOLS[rng.integers(len(TOOLS))]

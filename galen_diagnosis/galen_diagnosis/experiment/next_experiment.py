@@ -50,7 +50,7 @@ _POSES = 14
 _AVERAGE_S = 1.0
 _SETTLE_S = 0.4
 """As calibration_node's velocity_window_s and settle_s."""
-_SWEEP = SweepRange(home=GALEN.home, lower=(-1.5, -1.0), upper=(1.5, 0.9))
+_SWEEP = SweepRange(arm=GALEN, home=GALEN.home, lower=(-1.5, -1.0), upper=(1.5, 0.9))
 _SPEEDS = (0.3, 1.0)
 _MOTION_S = 20.0
 _LEVELS_N = (3.0, 8.0)
@@ -286,7 +286,7 @@ _SWEEP_REMARK = (
 )
 
 
-def write_sweep(experiment: Experiment, path: Path, arm: Arm = GALEN) -> None:
+def write_sweep(experiment: Experiment, path: Path, arm: Arm) -> None:
     """Write it as parameters of the arm's calibration_node or collection_node, whole or not at all.
 
     Raises GalenError for an experiment that neither runs, and where it can't be written.

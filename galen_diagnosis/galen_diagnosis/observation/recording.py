@@ -96,7 +96,7 @@ class DiagnosticRecording:
     bags: dict[str, BagData]
     missing: tuple[str, ...]
     problems: tuple[str, ...]
-    arm: Arm = GALEN
+    arm: Arm
     inertial_forces: bool = False
 
     @property
@@ -286,7 +286,7 @@ class _Arm:
     times since then; joint_ns (nj,): stamps. problems: sentences about what was left out.
     """
 
-    def __init__(self, path: Path, arm: ArmRecording, robot: Arm = GALEN) -> None:
+    def __init__(self, path: Path, arm: ArmRecording, robot: Arm) -> None:
         """Raise GalenError where too little is left."""
         self.problems: list[str] = []
         for what, stamps in (

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN, WRENCH_AXES
+from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_sim_driver.replay import rates
 
@@ -70,7 +70,7 @@ class ResidualRows:
     rate: Array
     samples: np.ndarray
     scale: Array
-    arm: Arm = GALEN
+    arm: Arm
 
     def __len__(self) -> int:
         return len(self.channel)

@@ -319,7 +319,7 @@ _HEAD = """\
 """
 
 
-def effect_file(recording: str, effects: Sequence[Effect], arm: Arm = GALEN) -> str | None:
+def effect_file(recording: str, effects: Sequence[Effect], arm: Arm) -> str | None:
     """Return an arm's found effects as the driver's parameters, YAML; None where there are none.
 
     Raises ConfigError: the driver has one of each effect, so that two of a kind are rejected, and

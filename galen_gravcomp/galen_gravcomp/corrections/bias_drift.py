@@ -39,7 +39,7 @@ from enum import Enum
 
 import numpy as np
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN, WRENCH_AXES
+from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.load.model import gravity_regressor
 from galen_model.rest.windows import StillWindows
@@ -189,7 +189,7 @@ class BiasDriftFilter:
 class BiasDrift:
     """The estimate of the bias drift, with its switch, limits and ramp."""
 
-    def __init__(self, *, enabled: bool = False, ramp_s: float = 1.0, arm: Arm = GALEN) -> None:
+    def __init__(self, *, enabled: bool = False, ramp_s: float = 1.0, arm: Arm) -> None:
         """`ramp_s`: the tare's, along which every change is applied."""
         self._enabled = enabled
         self._windows = StillWindows()

@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.load.cable import SEEN, UNSEEN, LearnedPull
 from galen_ros.stream.monitor import joined
@@ -23,7 +22,7 @@ class CablePull:
     so one product with a matrix gives all of them.
     """
 
-    def __init__(self, drag: LearnedPull, arm: Arm = GALEN) -> None:
+    def __init__(self, drag: LearnedPull, arm: Arm) -> None:
         self._arm = arm
         self.drag = drag
         self._posterior = posterior = drag.posterior

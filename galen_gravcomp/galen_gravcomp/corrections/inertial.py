@@ -26,7 +26,6 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN
 from galen_model.arm.sensor_motion import MotionOfSensor
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import CalibrationFile
@@ -192,7 +191,7 @@ class InertialForces:
     source = ""
     topic = ""
 
-    def __init__(self, parameters: GravcompParameters, arm: Arm = GALEN) -> None:
+    def __init__(self, parameters: GravcompParameters, arm: Arm) -> None:
         self._arm = arm
         self._parameters = parameters
         self._window = MotionWindow(parameters, self.topic)
@@ -259,7 +258,7 @@ class JointMotion(InertialForces):
     source = "joints"
     topic = "joint_states"
 
-    def __init__(self, parameters: GravcompParameters, arm: Arm = GALEN) -> None:
+    def __init__(self, parameters: GravcompParameters, arm: Arm) -> None:
         self._largest = tuple(_LARGEST_STEP[unit] for unit in arm.units)
         self._sensor = MotionOfSensor(arm)
         self._zero = (0.0,) * len(arm.turning)
@@ -337,7 +336,7 @@ class ImuMotion(InertialForces):
     source = "imu"
     topic = "the IMU"
 
-    def __init__(self, parameters: GravcompParameters, arm: Arm = GALEN) -> None:
+    def __init__(self, parameters: GravcompParameters, arm: Arm) -> None:
         p = parameters
         self._mount = ImuMount(
             np.array(p.imu_rotvec_rad),

@@ -16,6 +16,7 @@ from galen_bags.arrays.arm_recording import topics_of
 from galen_bags.arrays.tables import is_recording, read_motion, read_specific, read_table
 from galen_bags.formats.files import find_bags
 from galen_bags.many import ArchivedRecording, Place, json_rows, name_depth, name_of, run_many
+from galen_model.arm.galen import GALEN
 from galen_model.errors import CalibrationFileError, GalenError, IdentificationError
 from galen_model.evidence.verdict import Limits
 from galen_model.files.calibration_file import calibration_path, read_calibration, write_calibration
@@ -105,7 +106,7 @@ def _evaluate_drift(arguments: argparse.Namespace) -> Report:
             _columns(arguments),
             arguments.cell_s,
             lambda done, total: _show(bar, done, total),
-            arm,
+            arm=arm,
         )
     return drift_report(judge_drift(series, _limits(arguments)), paths[0].resolve().stem)
 
@@ -113,7 +114,7 @@ def _evaluate_drift(arguments: argparse.Namespace) -> Report:
 def _evaluate_run(arguments: argparse.Namespace) -> Report:
     still, unit = arguments.inputs[0], arguments.imu_unit_m_s2
     arm = chosen_arm(arguments)
-    table = read_table(still, _columns(arguments), arguments.wrench_frame, arm)
+    table = read_table(still, _columns(arguments), arguments.wrench_frame, arm=arm)
     wrench, imu, orientations = arguments.run
     run = read_motion(wrench, imu, orientations, arguments.time_unit_s, unit, arm)
     return imu_run_report(table, read_specific(still, unit), run)
@@ -127,7 +128,7 @@ def _evaluate_table(arguments: argparse.Namespace) -> Report:
         written = calibration_path(written.parent, written.stem)
     check_file(written)
     arm, columns = chosen_arm(arguments), _columns(arguments)
-    table = read_table(arguments.inputs[0], columns, arguments.wrench_frame, arm)
+    table = read_table(arguments.inputs[0], columns, arguments.wrench_frame, arm=arm)
     if is_recording(table) and arguments.average_s is None:
         print(
             f"evaluate: {len(table)} rows look like a recording, and are averaged; --average-s"
@@ -201,7 +202,7 @@ def _evaluate_bags(arguments: argparse.Namespace) -> int:
     if not job.tool_beside:
         with local_copy(job.tool) as tool:
             if not tool.is_file():
-                read_calibration(tool)  # likewise; which arm it is for, the bags say
+                read_calibration(tool, GALEN)  # likewise; which arm it is for, the bags say
             tool_text = tool.read_bytes()
     check_folder(job.bags_out)
     if arguments.results is not None:

@@ -30,7 +30,7 @@ from galen_bags.arrays.arm_recording import (
 from galen_bags.arrays.tables import read_text_table
 from galen_bags.formats.bag import Bag, open_bag
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN, WRENCH_AXES
+from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import CalibrationFile
@@ -96,7 +96,8 @@ def read_series(
     columns: Sequence[str] | None = None,
     cell_s: float = CELL_S,
     on_progress: OnProgress | None = None,
-    arm: Arm = GALEN,
+    *,
+    arm: Arm,
 ) -> DriftSeries:
     """Read bags, or tables of t, fx ... tz, on one clock. Raises GalenError."""
     wrenches, joints = CellReducer(cell_s), CellReducer(cell_s)

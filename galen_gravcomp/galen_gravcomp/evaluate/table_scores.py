@@ -85,7 +85,7 @@ def identify_chosen(known: OrientationTable) -> ChosenLoad:
     assert known.time is not None
     groups = None if known.block is None else np.unique(known.block, return_inverse=True)[1]
     return choose_load(
-        known.gravity, known.wrench, known.time, groups, known.temperature_c, known.arm
+        known.gravity, known.wrench, known.time, groups, known.temperature_c, arm=known.arm
     )
 
 
@@ -340,7 +340,7 @@ def _worth(scores: dict[str, HeldOutScore], groups: np.ndarray, sigma: Array) ->
 def _load_vector(chosen: ChosenLoad, table: OrientationTable, rows: np.ndarray) -> Array:
     assert table.time is not None
     load = refit(
-        chosen, table.gravity, table.wrench, table.time, rows, table.temperature_c, table.arm
+        chosen, table.gravity, table.wrench, table.time, rows, table.temperature_c, arm=table.arm
     ).load
     return np.concatenate([[load.mass_kg], load.com_m])
 

@@ -38,7 +38,7 @@ import pinocchio
 from pinocchio import SE3
 
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN, galen_urdf
+from galen_model.arm.galen import galen_urdf
 from galen_model.arrays import Array, evenly_spread
 from galen_model.errors import GalenError
 
@@ -111,7 +111,7 @@ class ArmClearance:
         boxes: Sequence[Box],
         clearance_m: float,
         tip_m: Array,
-        arm: Arm = GALEN,
+        arm: Arm,
         here: Array | None = None,
     ) -> None:
         """Take the shapes; parts of the arm that touch at most poses and at `here` are no pair.

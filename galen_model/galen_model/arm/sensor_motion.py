@@ -28,7 +28,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from galen_model.arm.arm import Arm, Components
-from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 
 _BLOCK = 4096
@@ -47,7 +46,7 @@ def sensor_motion(
     joints: ArrayLike,
     velocities: ArrayLike,
     accelerations: ArrayLike,
-    arm: Arm = GALEN,
+    arm: Arm,
 ) -> SensorMotion:
     """Motion of the sensor; all (..., n) in the order of `Arm.joints`, m, rad and their rates."""
     given = np.broadcast_arrays(
@@ -119,7 +118,7 @@ def _cross(a: Any, b: Any) -> Components:
 class MotionOfSensor:
     """`sensor_motion` for one moment at a time, by Pinocchio."""
 
-    def __init__(self, arm: Arm = GALEN) -> None:
+    def __init__(self, arm: Arm) -> None:
         import pinocchio  # slow to import, and only inertial forces need it
 
         model, parent = pinocchio.Model(), 0

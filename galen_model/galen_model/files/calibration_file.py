@@ -102,7 +102,7 @@ class ZeroingPose:
     gravity_in_sensor_m_s2: Array
 
 
-def zeroed_at(angles: ArrayLike | None = None, arm: Arm = GALEN) -> ZeroingPose:
+def zeroed_at(angles: ArrayLike | None = None, *, arm: Arm) -> ZeroingPose:
     """Return the zeroing at angles (k,) of the arm's turning joints, rad; None for home."""
     at = arm.home_angles if angles is None else np.asarray(angles, dtype=float)
     joints = dict(zip(arm.turning_names, numbers(at), strict=True))
@@ -124,8 +124,8 @@ class CalibrationFile:
     poses_used: int
     calibrated_at: str
     residual_offset: Array = field(default_factory=lambda: np.zeros(6))
-    arm: Arm = field(default=GALEN, repr=False, compare=False)
-    zeroing: ZeroingPose | None = field(default_factory=lambda: zeroed_at())
+    arm: Arm = field(kw_only=True, repr=False, compare=False)
+    zeroing: ZeroingPose | None = field(kw_only=True)
     """Where the sensor was zeroed with the adapter alone; None: not so, or not known."""
     poses_rejected: tuple[str, ...] = ()
     gravity_m_s2: Array = field(default_factory=lambda: GRAVITY_M_S2.copy())
@@ -281,7 +281,7 @@ def calibration_path(tools_dir: str | os.PathLike[str], tool: str) -> Path:
     return Path(tools_dir).expanduser() / f"{check_tool_name(tool)}.json"
 
 
-def read_calibration(path: str | os.PathLike[str], arm: Arm = GALEN) -> CalibrationFile:
+def read_calibration(path: str | os.PathLike[str], arm: Arm) -> CalibrationFile:
     """Read and check a calibration file, to use it on `arm`.
 
     Raises CalibrationFileError that names the file and the field; where the file itself can't be
@@ -297,9 +297,7 @@ def read_calibration(path: str | os.PathLike[str], arm: Arm = GALEN) -> Calibrat
         raise CalibrationFileError(f"{path}: {error}") from error
 
 
-def parse_calibration(
-    path: str | os.PathLike[str], raw: bytes, arm: Arm = GALEN
-) -> CalibrationFile:
+def parse_calibration(path: str | os.PathLike[str], raw: bytes, arm: Arm) -> CalibrationFile:
     """Check the bytes of a calibration file; `path` is for the error that it raises."""
     try:
         return _from_json(parse_json(raw), arm)

@@ -24,7 +24,6 @@ from enum import Enum
 from pathlib import Path
 
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN
 from galen_model.errors import CalibrationFileError, GalenError, ToolNameError
 from galen_model.files.atomic_file import (
     exchange,
@@ -99,7 +98,7 @@ class Entry:
 class CalibrationStore:
     """One directory of calibration files; it need not exist, and then has no tools."""
 
-    def __init__(self, tools_dir: str | os.PathLike[str], arm: Arm = GALEN) -> None:
+    def __init__(self, tools_dir: str | os.PathLike[str], arm: Arm) -> None:
         """`arm`: the one that the tools are used on; another's files are not read."""
         self.directory = Path(tools_dir).expanduser()
         self.arm = arm

@@ -78,7 +78,7 @@ def export_load(tool: CalibrationFile, form: str, frame: str = "") -> dict[str, 
     form: one of FORMATS; frame: empty for the sensor's. Raises FrameError and, for a frame that
     joints move against the sensor, FrameNeedsJointsError.
     """
-    place = sensor_in_frame(frame or tool.sensor_frame, tool.tip_m, None, tool.arm)
+    place = sensor_in_frame(frame or tool.sensor_frame, tool.tip_m, None, arm=tool.arm)
     at_sensor = hung_load(tool)
     load, found = place.load(at_sensor), inertia_about_centre(tool, at_sensor)
     inertia = None if isinstance(found, str) else place.rotation @ found @ place.rotation.T

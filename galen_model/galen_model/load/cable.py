@@ -64,7 +64,7 @@ def groups(form: str) -> int:
     return 1 if form == "point" else 2
 
 
-def form_matrices(form: str, joints: ArrayLike, attachment_m: ArrayLike, arm: Arm = GALEN) -> Array:
+def form_matrices(form: str, joints: ArrayLike, attachment_m: ArrayLike, arm: Arm) -> Array:
     """B (groups, n, 6, 3) at the arm's joints (n, d); attachment (3,) in the sensor, m."""
     q = np.asarray(joints, dtype=float)
     matrices = np.zeros((groups(form), len(q), 6, 3))
@@ -79,7 +79,7 @@ def form_matrices(form: str, joints: ArrayLike, attachment_m: ArrayLike, arm: Ar
     return matrices
 
 
-def attachment_derivatives(form: str, joints: Array, arm: Arm = GALEN) -> Array:
+def attachment_derivatives(form: str, joints: Array, arm: Arm) -> Array:
     """Return derivatives of B[0] by the attachment (3, n, 6, 3), 1/m; zeros for `free`."""
     derivatives = np.zeros((3, len(joints), 6, 3))
     if form != "free":
@@ -149,7 +149,7 @@ class LearnedPull:
         }
 
     @classmethod
-    def from_json(cls, value: Any, name: str, arm: Arm = GALEN) -> LearnedPull:
+    def from_json(cls, value: Any, name: str, arm: Arm) -> LearnedPull:
         """From the key's content, for an arm; raises FieldError that names what is wrong."""
         whole = mapping(value, name)
         form = text(get(whole, "form"), f"{name}.form")

@@ -96,7 +96,7 @@ def spacing_rad(angles: Array) -> float:
     return float(np.quantile(apart.min(axis=1), 0.8))
 
 
-def spread_out(joints: Array, count: int, arm: Arm = GALEN) -> Array:
+def spread_out(joints: Array, count: int, arm: Arm) -> Array:
     """Return indices (count,) of poses (n, d): each next one farthest from the others.
 
     A tenth of a metre of a prismatic joint counts as much as half a radian.

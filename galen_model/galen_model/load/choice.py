@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN, WRENCH_AXES
+from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.errors import IdentificationError, NotExcitedError
 from galen_model.files.calibration_file import LoadEstimate
@@ -203,7 +203,8 @@ def choose_load(
     time_s: Array | None,
     groups: np.ndarray | None = None,
     temperature_c: Array | None = None,
-    arm: Arm = GALEN,
+    *,
+    arm: Arm,
 ) -> ChosenLoad:
     """Identify mass, centre and bias by the models that held-out blocks prefer.
 
@@ -234,7 +235,8 @@ def refit(
     time_s: Array,
     rows: np.ndarray,
     temperature_c: Array | None = None,
-    arm: Arm = GALEN,
+    *,
+    arm: Arm,
 ) -> SingleLoad:
     """Fit the model chosen from all readings (n) to `rows` (n,) of them, without another choice."""
     assert chosen.choice is not None

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN, TIP_FRAME
+from galen_model.arm.galen import TIP_FRAME
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import LoadEstimate
@@ -28,7 +28,7 @@ _Fixed = tuple[str, Array, Array]
 """A frame's place: the joint that carries it, R_joint_frame (3, 3), the frame's origin (3,), m."""
 
 
-def frames(arm: Arm = GALEN) -> tuple[str, ...]:
+def frames(arm: Arm) -> tuple[str, ...]:
     """Names of the frames that a load can be given in: sensor, tip, links towards the base.
 
     Then the description's other frames that are rigid to one of these.
@@ -73,12 +73,12 @@ class SensorInFrame:
         return move_wrench(wrench, self.rotation, self.origin_m)
 
 
-def needed_joints(frame: str, arm: Arm = GALEN) -> tuple[str, ...]:
+def needed_joints(frame: str, arm: Arm) -> tuple[str, ...]:
     """Names of the joints between a frame and the sensor; raises FrameError."""
     return arm.joint_names[_carrier(frame, arm)[0] :]
 
 
-def joint_vector(values: Sequence[float], arm: Arm = GALEN) -> Array:
+def joint_vector(values: Sequence[float], arm: Arm) -> Array:
     """Joints (n,) of n values, of the turning joints' angles alone or of none; the rest NaN.
 
     Raises FrameNeedsJointsError for another number of them, or values that aren't finite.
@@ -96,7 +96,7 @@ def joint_vector(values: Sequence[float], arm: Arm = GALEN) -> Array:
 
 
 def sensor_in_frame(
-    frame: str, tip_m: ArrayLike, joints: ArrayLike | None = None, arm: Arm = GALEN
+    frame: str, tip_m: ArrayLike, joints: ArrayLike | None = None, *, arm: Arm
 ) -> SensorInFrame:
     """Where the sensor is in `frame`.
 

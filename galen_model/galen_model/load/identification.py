@@ -20,14 +20,14 @@ that uses force and torque of both sweeps together.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN, WRENCH_AXES
+from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_ppf
 from galen_model.errors import IdentificationError, NotExcitedError
@@ -69,7 +69,7 @@ class StillPoses:
     wrench: Array
     std_of_mean: Array | None = None
     time_s: Array | None = None
-    arm: Arm = GALEN
+    arm: Arm = field(kw_only=True)
     temperature_c: Array | None = None
 
     def __post_init__(self) -> None:
@@ -123,8 +123,8 @@ class StillPoses:
             self.wrench[rows],
             part(self.std_of_mean),
             part(self.time_s),
-            self.arm,
             part(self.temperature_c),
+            arm=self.arm,
         )
 
 
@@ -412,7 +412,7 @@ def check_planned_poses(
     *,
     one_sweep: bool = False,
     zero_angles: ArrayLike | None = None,
-    arm: Arm = GALEN,
+    arm: Arm,
 ) -> None:
     """Raise NotExcitedError, before the arm moves, where angles (n, k), rad, excite too little."""
     planned = StillPoses(angles, np.zeros((len(angles), 6)), arm=arm)

@@ -36,7 +36,6 @@ import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN
 from galen_model.arm.sensor_motion import sensor_motion
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_sf
@@ -85,7 +84,8 @@ def motion_record(
     wrenches: Array,
     mounting: Mounting | None = None,
     cutoff_hz: float = CUTOFF_HZ,
-    arm: Arm = GALEN,
+    *,
+    arm: Arm,
 ) -> MotionRecord:
     """From the arm's joints (n, k), m and rad, and wrenches (m, 6), N and N.m; stamps in ns.
 

@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.rotation import skew
 
@@ -59,7 +58,8 @@ def nominal_reading(
     tool: Load,
     adapter: Load,
     zero_angles: ArrayLike | None = None,
-    arm: Arm = GALEN,
+    *,
+    arm: Arm,
 ) -> Array:
     """Return reading (..., 6) without contact and noise, N and N.m in the sensor's frame.
 

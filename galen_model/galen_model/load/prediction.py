@@ -6,7 +6,6 @@ from math import cos, sin
 import numpy as np
 
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.mounting.mounting import Mounting
@@ -28,7 +27,7 @@ class Prediction:
     place.
     """
 
-    def __init__(self, tool: CalibrationFile, arm: Arm = GALEN) -> None:
+    def __init__(self, tool: CalibrationFile, arm: Arm) -> None:
         self._arm, self._into_sensor = arm, arm.into_sensor
         gravity = float(np.linalg.norm(tool.gravity_m_s2))
         self._constant: Array = tool.predict_under(np.zeros(3))

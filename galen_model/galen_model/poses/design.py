@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN, SENSOR
+from galen_model.arm.galen import SENSOR
 from galen_model.arrays import Array, evenly_spread
 from galen_model.errors import GalenError
 from galen_model.load.identification import single_load_design
@@ -64,7 +64,7 @@ def angle_grid(
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
 
 
-def workspace(steps: int, arm: Arm = GALEN) -> Array:
+def workspace(steps: int, arm: Arm) -> Array:
     """Angles (w, k), rad, evenly over all that the joints' limits allow.
 
     A grid of steps^k for up to two joints, steps^2 spread poses of more.
@@ -82,7 +82,7 @@ def angle_limits(arm: Arm) -> tuple[Array, Array]:
     return np.where(turn, -np.pi, lower), np.where(turn, np.pi, upper)
 
 
-def workspace_gravity(arm: Arm = GALEN) -> Array:
+def workspace_gravity(arm: Arm) -> Array:
     """Gravity (w, 3) in the sensor over the workspace, m/s^2."""
     if len(arm.turning) <= MOST_GRID_JOINTS:
         return arm.gravity_in_sensor(workspace(_WORKSPACE_STEPS, arm))
@@ -100,7 +100,7 @@ def workspace_gravity(arm: Arm = GALEN) -> Array:
     return np.asarray(even[near] * size)
 
 
-def compensation_std(poses: Array, sigma: Array, arm: Arm = GALEN) -> Array:
+def compensation_std(poses: Array, sigma: Array, arm: Arm) -> Array:
     """Std (6,), N and N.m, of the compensation's error after a sweep of angles (n, k), rad.
 
     Root of the mean variance over the workspace; sigma (6,) is one averaged reading's noise. inf
@@ -109,7 +109,7 @@ def compensation_std(poses: Array, sigma: Array, arm: Arm = GALEN) -> Array:
     return compensation_std_under(arm.gravity_in_sensor(poses), sigma, arm)
 
 
-def compensation_std_under(gravity: Array, sigma: Array, arm: Arm = GALEN) -> Array:
+def compensation_std_under(gravity: Array, sigma: Array, arm: Arm) -> Array:
     """As `compensation_std`, after a sweep under gravity (n, 3) in the sensor, m/s^2."""
     information = _information(single_load_design(gravity), sigma).sum(axis=0)
     scaled, balance = _balanced(information)
@@ -134,7 +134,7 @@ class PoseDesign:
         *,
         sigma: Array | None = None,
         one_sweep_zero: ArrayLike | None = None,
-        arm: Arm = GALEN,
+        arm: Arm,
     ) -> None:
         self._arm = arm
         self.candidates = np.asarray(candidates, dtype=float).reshape(-1, len(arm.turning))

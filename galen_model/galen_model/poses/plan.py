@@ -17,7 +17,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,6 @@ from numpy.typing import ArrayLike
 
 from galen_model.arm.arm import Arm
 from galen_model.arm.clearance import ArmClearance, Box, ObstacleError
-from galen_model.arm.galen import GALEN
 from galen_model.arm.routes import Router
 from galen_model.arrays import Array, evenly_spread
 from galen_model.errors import GalenError, NotExcitedError
@@ -101,7 +100,7 @@ class SweepTimes:
         return float(np.sum(legs)) + len(poses) * self.stay_s
 
 
-def order_poses(poses: Array, times: SweepTimes, arm: Arm = GALEN) -> Array:
+def order_poses(poses: Array, times: SweepTimes, arm: Arm) -> Array:
     """Return the angles (n, k), rad, in the order to visit them; more than MOST_ORDERED stay."""
     if not 3 <= len(poses) <= MOST_ORDERED:
         return poses
@@ -185,7 +184,7 @@ class SweepRange:
     upper: Sequence[float]
     steps: tuple[int, ...] = CANDIDATES
     name: str = "home"
-    arm: Arm = GALEN
+    arm: Arm = field(kw_only=True)
     remedy: str = ""
     good_share: float = 0.6
 

@@ -35,7 +35,7 @@ from typing import Any
 import numpy as np
 
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN, SENSOR, WRENCH_AXES
+from galen_model.arm.galen import SENSOR, WRENCH_AXES
 from galen_model.arrays import Array, runs
 
 
@@ -82,7 +82,8 @@ def rest_by_joints(
     stamp_ns: np.ndarray,
     joints: Array,
     settings: JointRest | None = None,
-    arm: Arm = GALEN,
+    *,
+    arm: Arm,
 ) -> list[slice]:
     """Return the rows of each rest segment, in order.
 
@@ -188,7 +189,7 @@ def average_pose(joints: Array, wrenches: Array, stamp_ns: int = 0) -> PoseRecor
     )
 
 
-def joint_motion_fault(record: PoseRecord, settings: StillnessSettings, arm: Arm = GALEN) -> str:
+def joint_motion_fault(record: PoseRecord, settings: StillnessSettings, arm: Arm) -> str:
     """Name the joints that moved inside the window; empty when none did."""
     moved = np.flatnonzero(record.joint_span > settings.joint_motion)
     return "; ".join(

@@ -203,7 +203,7 @@ def leads_out(path: Path, root: Path) -> bool:
 
 
 def tool_choices(
-    recording: FoundRecording, bags_dir: Path, tools_dir: Path, arm: Arm = GALEN
+    recording: FoundRecording, bags_dir: Path, tools_dir: Path, arm: Arm
 ) -> list[ToolChoice]:
     """List an arm's usable files: beside the recording, then of the two directories."""
     choices = []

@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from galen_model.arm.arm import Arm
+from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError, one_line
 from galen_model.files.calibration_file import check_tool_name
 from galen_ros.arm import ArmParameters
@@ -67,7 +68,7 @@ class RosSuite(AbstractContextManager["RosSuite"]):
     def __init__(self, argv: list[str]) -> None:
         """`argv`: the command line, with what is ROS's; raises GalenError."""
         self._board = Board()
-        self.history = History()
+        self.history = History(GALEN)
         """The streams' newest samples; it grows only while a page shows them."""
         self._thread = RosThread()
         self.streams = Streams(self.history, self._thread.context)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN, WRENCH_AXES
+from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.rest.segments import (
@@ -86,7 +86,7 @@ class ArrivalSettings:
     velocity_window_s: float
     settle_s: float
     max_stamp_step_s: float
-    arm: Arm = GALEN
+    arm: Arm
 
 
 class MotionTimeoutError(Exception):

@@ -15,7 +15,6 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 
 from galen_ros.parameters import param
@@ -140,7 +139,7 @@ class WrenchPairing:
         wrench_topic: str = "wrench_raw",
         sensor_frame: str = "",
         awaited: Awaited | None = None,
-        arm: Arm = GALEN,
+        arm: Arm,
     ) -> None:
         """Pair a topic's wrenches.
 

@@ -7,7 +7,6 @@ from dataclasses import fields, replace
 from typing import Any
 
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN
 from galen_ros.parameters import ParameterError, checked, param_fields
 
 from galen_sim_driver.effects.effect import ConfigError, Effect
@@ -126,7 +125,7 @@ def _named(effect: Effect, of: Iterable[str]) -> dict[str, Any]:
     return named
 
 
-def effect_from(name: str, parameters: Mapping[str, Any], arm: Arm = GALEN) -> Effect:
+def effect_from(name: str, parameters: Mapping[str, Any], arm: Arm) -> Effect:
     """Return an arm's effect of this name with numbers named as the contract or the fields are.
 
     Numbers not given have their defaults. Names from before effects had joints are read, too.

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN, SENSOR, SensorParameters
+from galen_model.arm.galen import SENSOR, SensorParameters
 from galen_model.errors import GalenError
 from galen_model.load.model import ADAPTER, TOOLS, Load, ToolGeometry
 from galen_model.rest.segments import ENCODER_STEP
@@ -139,7 +139,7 @@ class PlantConfig:
     start_ns: int = 1_000_000_000
     start_joints: JointVector = ()
     encoder_quantum: JointVector = ()
-    arm: Arm = GALEN
+    arm: Arm = field(kw_only=True)
     adapter: Load = ADAPTER
     tools: Mapping[str, ToolGeometry] = field(default_factory=lambda: dict(TOOLS))
     noise: bool = True

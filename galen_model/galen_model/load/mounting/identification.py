@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.errors import IdentificationError
 from galen_model.evidence.block_gain import MOUNTED, PLAIN, ROBUST, Worth, compare
@@ -194,7 +193,8 @@ def identify_single_load_mounted(
     groups: Sequence[str],
     base_from_sensor: Array | None = None,
     known: KnownLoad | None = None,
-    arm: Arm = GALEN,
+    *,
+    arm: Arm,
 ) -> MountedLoad:
     """As `identify_single_load`, with the mounting's `groups`, from orientations.
 
@@ -228,7 +228,7 @@ def check_planned_mounting(
     *,
     one_sweep: bool = False,
     zero_angles: ArrayLike | None = None,
-    arm: Arm = GALEN,
+    arm: Arm,
 ) -> None:
     """Raise, before the arm moves, for angles (n, k), rad, that can't distinguish `groups`.
 
@@ -273,7 +273,7 @@ def two_sweeps_problem(
 
 
 def single_problem(
-    poses: Poses, asked: tuple[Entity, ...], known: KnownLoad | None, arm: Arm = GALEN
+    poses: Poses, asked: tuple[Entity, ...], known: KnownLoad | None, arm: Arm
 ) -> "MountingProblem":
     """Values: the load's moments (4), offsets (6), asked."""
     model = ReadingModel(

@@ -25,7 +25,7 @@ fourth, only the sum is told, and `joint_zero` spreads it evenly.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -66,7 +66,7 @@ class Entity:
     direction: Array
 
 
-def groups_of(arm: Arm = GALEN) -> dict[str, tuple[Entity, ...]]:
+def groups_of(arm: Arm) -> dict[str, tuple[Entity, ...]]:
     """Return what can be asked for of an arm, and which directions it holds."""
     joints = arm.turning_names
     names = parameters(joints)
@@ -145,11 +145,11 @@ def _parallel(a: Array, b: Array) -> bool:
     return bool(np.all(np.linalg.norm(np.cross(a, b), axis=-1) < _PARALLEL_RAD))
 
 
-GROUPS = (*tuple(groups_of())[: -len(GALEN.turning)], "JOINT_zero")
+GROUPS = (*tuple(groups_of(GALEN))[: -len(GALEN.turning)], "JOINT_zero")
 """Names of what can be asked for; JOINT stands for any revolute joint of the arm."""
 
 
-def entities(names: Sequence[str], arm: Arm = GALEN) -> tuple[Entity, ...]:
+def entities(names: Sequence[str], arm: Arm) -> tuple[Entity, ...]:
     """Return the directions of groups by name, each once; raises IdentificationError."""
     known = groups_of(arm)
     for name in names:
@@ -167,7 +167,6 @@ def entities(names: Sequence[str], arm: Arm = GALEN) -> tuple[Entity, ...]:
 
 
 _LARGEST_GAIN = 0.5
-_GALENS = ZEROS + len(GALEN.turning)
 
 
 def inclination(about_x_rad: float, about_y_rad: float) -> Array:
@@ -193,13 +192,13 @@ class Mounting:
     where not estimated.
     """
 
-    sensor_rotvec_rad: Array = field(default_factory=lambda: np.zeros(3))
-    axis_gain: Array = field(default_factory=lambda: np.zeros(6))
-    base_inclination_rad: Array = field(default_factory=lambda: np.zeros(2))
-    joint_zero_rad: Array = field(default_factory=lambda: np.zeros(len(GALEN.turning)))
-    estimated: tuple[str, ...] = ()
-    covariance: Array = field(default_factory=lambda: np.zeros((_GALENS, _GALENS)))
-    joints: tuple[str, ...] = GALEN.turning_names
+    sensor_rotvec_rad: Array
+    axis_gain: Array
+    base_inclination_rad: Array
+    joint_zero_rad: Array
+    estimated: tuple[str, ...]
+    covariance: Array
+    joints: tuple[str, ...]
 
     @staticmethod
     def of(arm: Arm) -> "Mounting":
@@ -211,7 +210,8 @@ class Mounting:
         vector: Array,
         estimated: tuple[str, ...] = (),
         covariance: Array | None = None,
-        joints: tuple[str, ...] = GALEN.turning_names,
+        *,
+        joints: tuple[str, ...],
     ) -> "Mounting":
         """Of parameters (11 + k,) in the order of `parameters`."""
         none = np.zeros((len(vector), len(vector)))
@@ -252,11 +252,11 @@ class Mounting:
         """(3, 3): takes a level base's gravity into the inclined one."""
         return inclination(*self.base_inclination_rad)
 
-    def gravity_direction(self, arm: Arm = GALEN) -> Array:
+    def gravity_direction(self, arm: Arm) -> Array:
         """Return the unit vector (3,) of gravity in the arm's base frame."""
         return self.inclination @ (arm.gravity_m_s2 / np.linalg.norm(arm.gravity_m_s2))
 
-    def gravity_in_sensor(self, angles: ArrayLike | None, arm: Arm = GALEN) -> Array:
+    def gravity_in_sensor(self, angles: ArrayLike | None, arm: Arm) -> Array:
         """Gravity (..., 3) in the sensor, m/s^2, at reported angles (..., k); None for home."""
         reported = arm.home_angles if angles is None else np.asarray(angles, dtype=float)
         true = reported + self.joint_zero_rad
@@ -301,7 +301,7 @@ class Mounting:
         }
 
     @staticmethod
-    def from_json(value: Any, name: str, arm: Arm = GALEN) -> "Mounting":
+    def from_json(value: Any, name: str, arm: Arm) -> "Mounting":
         """Read back, for an arm; raises FieldError naming the field below `name`."""
         whole = mapping(value, name)
         rotvec = array(get(whole, "sensor_rotvec_rad"), f"{name}.sensor_rotvec_rad", (3,))

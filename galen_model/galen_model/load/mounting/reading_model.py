@@ -16,7 +16,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.load.model import gravity_regressor
 from galen_model.load.mounting.mounting import ZEROS, Entity, Mounting
@@ -30,7 +29,7 @@ class JointPoses:
     """Reported angles (n, k) of an arm's turning joints, rad."""
 
     angles: Array
-    arm: Arm = GALEN
+    arm: Arm
 
     def __len__(self) -> int:
         """Return the number of poses."""
@@ -123,7 +122,9 @@ class ReadingModel:
         basis, linear = self.basis, self.linear
         if covariance is not None:
             covariance = basis @ covariance[linear:, linear:] @ basis.T
-        return Mounting.from_vector(basis @ values[linear:], estimated, covariance, self._joints)
+        return Mounting.from_vector(
+            basis @ values[linear:], estimated, covariance, joints=self._joints
+        )
 
     def evaluate(self, values: Array) -> tuple[Array, Array]:
         """Return readings (n, 6) of all sweeps and their Jacobian (n, 6, p) by the values (p,)."""
