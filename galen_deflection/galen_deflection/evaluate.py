@@ -150,7 +150,8 @@ def _check_tip(path: Path, model: DeflectionModel, bag: Path, tool: CalibrationF
     tip, own = np.asarray(tool.tip_m, dtype=float), np.asarray(model.tip_m)
     if not np.allclose(own, tip, atol=1e-9):
         raise DeflectionError(
-            f"{path}: was fitted for a tool with its tip at {own.tolist()} m in ft_sensor, but"
+            f"{path}: was fitted for a tool with its tip at {own.tolist()} m in"
+            f" {tool.sensor_frame}, but"
             f" {bag} was recorded with {tool.tool}, whose tip is at {tip.tolist()} m"
         )
 
