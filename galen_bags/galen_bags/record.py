@@ -29,6 +29,7 @@ from galen_bags.recorder import DEFAULT_TOPICS, RecorderNode, TopicCounts
 from galen_bags.topics import check_topic_name
 
 _MB = 1_000_000
+_PATIENCE_S = 10.0
 _NOTES = (
     "Names of topics are relative to the namespace and can be remapped: --ros-args -r __ns:=/left\n"
     "Log times from /clock: --ros-args -p use_sim_time:=true"
@@ -42,6 +43,7 @@ class RecordRun:
         self._options = options
         self.node: RecorderNode | None = None
         self._line = ProgressLine()
+        self._start_s = time.monotonic()
         self._first_s: float | None = None
         self._ended_by = "signal"
         self.bag = GrowingBagWriter(options.output)
@@ -97,10 +99,13 @@ class RecordRun:
                 f" {node.messages} messages, {self.bag.size_bytes / _MB:.2f} MB"
             )
         )
-        if duration_s is not None and elapsed_s >= duration_s:
-            self._ended_by = "duration"
-            return True
-        return False
+        if duration_s is None:
+            return False
+        over = elapsed_s >= duration_s
+        if self._first_s is None:
+            over = now_s - self._start_s >= max(duration_s, _PATIENCE_S)
+        self._ended_by = "duration" if over else self._ended_by
+        return over
 
 
 def _topic_table(counts_by_topic: list[TopicCounts]) -> str:
@@ -143,7 +148,11 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
         help="directory to make (default: rosbag2_ and the time, here)",
     )
     parser.add_argument(
-        "--duration-s", type=positive, metavar="S", help="stop S seconds after the first message"
+        "--duration-s",
+        type=positive,
+        metavar="S",
+        help="stop S seconds after the first message; without one after S, or"
+        f" {_PATIENCE_S:g} if that is more",
     )
     add_json(parser)
     options = parser.parse_args(arguments)

@@ -32,6 +32,7 @@ DEFAULT_TOPICS = (
     "wrench_compensated",
     "tracker/tool_pose",
     "tracker/base_pose",
+    "robot_description",
 )
 # Topics that many nodes publish, as they should.
 _SHARED = ("/diagnostics", "/rosout", "/parameter_events", "/tf", "/tf_static")

@@ -7,13 +7,14 @@ import subprocess
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
-from galen_bags.formats.bag import open_bag
+from galen_bags.formats.bag import open_bag, robot_description
 from galen_bags.formats.writer import GrowingBagWriter
-from galen_bags.record import parse
+from galen_bags.record import RecordRun, parse
 from galen_bags.recorder import RecorderNode, SimulatedTimes
 from galen_ros.cdr import joint_state_bytes, wrench_bytes
 from galen_ros.messages import LATCHED, STREAM
@@ -32,6 +33,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from galen_bags import BagError
+from galen_bags import record as record_command
 from galen_msgs.msg import DeflectionStamped
 
 S = 1_000_000_000
@@ -92,6 +94,31 @@ def messages(path: Path) -> dict[str, list[bytes]]:
         for connection, _, data in reader.messages():
             found.setdefault(connection.topic, []).append(bytes(data))
     return found
+
+
+def test_by_default_the_arm_s_description_is_recorded(
+    harness: Harness, bag: GrowingBagWriter
+) -> None:
+    publisher(harness, String, "robot_description", LATCHED).publish(String(data="<robot/>"))
+    recorder = harness.add(lambda context: RecorderNode(bag, context=context))
+    wait_recorded(harness, recorder, 1)
+    with open_bag(end(harness, recorder, bag)) as whole:
+        assert robot_description(whole) == "<robot/>"
+
+
+@pytest.mark.parametrize(("duration_s", "end_s"), [("2", 10.0), ("20", 20.0)])
+def test_the_duration_ends_it_where_nothing_comes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, duration_s: str, end_s: float
+) -> None:
+    now_s = [100.0]
+    monkeypatch.setattr(record_command.time, "monotonic", lambda: now_s[0])
+    options = parse(["-o", str(tmp_path / "bag"), "--duration-s", duration_s])
+    run, node = RecordRun(options), SimpleNamespace(messages=0)
+    with run.bag:
+        for after_s, over in ((end_s - 0.1, False), (end_s, True)):
+            now_s[0] = 100.0 + after_s
+            assert run._done(node) is over  # type: ignore[arg-type]
+    assert run._ended_by == "duration"
 
 
 def test_bytes_are_as_they_came(harness: Harness, bag: GrowingBagWriter) -> None:

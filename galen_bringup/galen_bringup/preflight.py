@@ -16,17 +16,19 @@ import time
 from collections.abc import Sequence
 from enum import Enum
 from functools import partial
+from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
 from galen_model.arm.arm import Arm
+from galen_model.arm.clearance import ArmClearance
 from galen_model.arm.galen import GALEN, WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.setup_check.check import check_setup
 from galen_model.setup_check.readings import at_angles, fit_load
-from galen_ros.arm import add_arm, chosen_arm
+from galen_ros.arm import ArmParameters, add_arm, chosen_arm
 from galen_ros.cdr import JointStateError, JointWire, UnreadableError, WrenchWire
 from galen_ros.command import (
     EXIT_FAILED,
@@ -67,9 +69,13 @@ _TURNED, _MASS_KG = 0.3, 0.02
 _MOST_SAMPLES = 300  # they are fitted a thousand times where nothing fits
 _CLOCKS = "stamp both by one clock (chrony, PTP), raise the joints' rate, or set max_joint_age_s"
 _ONE_DRIVER = "one publisher, and a stamp of its own for each sample"
+_UNSTAMPED = (
+    "the driver must stamp each message with the sample's time; with use_sim_time it needs /clock"
+)
+_JUMP = "stamps must not jump: one clock, which nothing sets meanwhile, and one driver"
 _REMEDIES: dict[Enum, str] = {
     Rejection.WRONG_FRAME: "give --sensor-frame (nodes: sensor_frame), or correct the driver",
-    Rejection.UNSTAMPED: "the driver must stamp its messages with the sample's time",
+    Rejection.UNSTAMPED: _UNSTAMPED,
     Rejection.DUPLICATE: _ONE_DRIVER,
     Rejection.NONFINITE_WRENCH: "is the sensor initialised, and not overloaded?",
     Rejection.NO_JOINTS: _CLOCKS,
@@ -78,7 +84,7 @@ _REMEDIES: dict[Enum, str] = {
     Notice.OUT_OF_ORDER_WRENCH: _ONE_DRIVER,
     Notice.OUT_OF_ORDER_JOINTS: _ONE_DRIVER,
     Notice.DUPLICATE_JOINTS: _ONE_DRIVER,
-    Notice.RESTART: "stamps must not jump: one clock, one driver",
+    Notice.RESTART: _JUMP,
     Notice.JOINT_JUMP: "does another node publish other joint values?",
     Notice.BEYOND_RANGE: "unload the sensor, or set sensor_range",
     Notice.TORQUE_UNIT: "torques must be in N.m",
@@ -127,7 +133,8 @@ class Observer(Node):
 
     def checks(self, arguments: argparse.Namespace) -> list[Check]:
         """Judge what came so far; arguments: those of `build_parser`."""
-        checks, arm = [], None
+        checks: list[Check] = []
+        arm = None
         text = self.descriptions[-1] if self.descriptions else ""
         if not arguments.urdf:
             checks += self._sender(_DESCRIPTION, bool(text))
@@ -138,7 +145,7 @@ class Observer(Node):
             use = "nodes: use_robot_description:=true" if other else ""
             checks.append(Check("arm", OK, f"{arm.name}: {chain}", use))
         except GalenError as error:
-            checks.append(Check("arm", FIX, str(error), _frames_like_sensors(text)))
+            checks.append(Check("arm", FIX, str(error), _arm_remedy(arguments, text)))
         for topic in (_JOINTS, _WRENCH):
             checks += self._sender(topic, any(sample[0] == topic for sample in self.samples))
         found = sample_checks(self.samples, arm, self.limits) if arm else []
@@ -149,7 +156,7 @@ class Observer(Node):
             checks = [
                 Check("arm", FIX, of_galen, remedy) if one.what == "arm" else one for one in checks
             ]
-        return [*checks, *found, *self._interfaces()]
+        return [*checks, *found, *self._interfaces(arm)]
 
     def _sender(self, topic: str, came: bool) -> list[Check]:
         """Check a topic's publishers and their quality of service."""
@@ -183,12 +190,15 @@ class Observer(Node):
             checks.append(Check(topic, FIX, "no message came", remedy))
         return checks
 
-    def _interfaces(self) -> list[Check]:
+    def _interfaces(self, arm: Arm | None) -> list[Check]:
         """Look for simulated time, zeroing and motion: compensation alone needs none."""
         checks = []
         if self.count_publishers("/clock"):
             remedy = "start the nodes with use_sim_time:=true"
             checks.append(Check("time", NOTE, "/clock is published", remedy))
+        elif self.get_parameter("use_sim_time").value:
+            remedy = "start what publishes /clock (a simulation, play), or leave out use_sim_time"
+            checks.append(Check("time", FIX, "use_sim_time, and nothing publishes /clock", remedy))
         services = sorted(name for name, _ in self.get_service_names_and_types())
         zero = self.resolve_service_name("zero_ft_sensor")
         follow, goal = "follow_joint_trajectory", "/_action/send_goal"
@@ -201,17 +211,36 @@ class Observer(Node):
         ):
             missing = Check(what, NOTE, f"nothing offers {lacking}", remedy)
             checks.append(Check(what, OK, ", ".join(found)) if found else missing)
+        if arm is not None and ways:
+            checks += _shape_checks(arm)
         return checks
 
 
-def _frames_like_sensors(text: str) -> str:
-    """Name the frames of a description that may be the sensor's, as a remedy."""
+def _shape_checks(arm: Arm) -> list[Check]:
+    """Check that the nodes can look for collisions before they move the arm."""
+    try:
+        ArmClearance((), 0.0, np.zeros(3), arm).require_shapes()
+    except GalenError as error:
+        trouble, _, remedy = str(error).partition(": ")
+        return [Check("collisions", FIX, trouble, remedy)]
+    return []
+
+
+def _arm_remedy(arguments: argparse.Namespace, text: str) -> str:
+    """Name what is wrong with the description's file, or the frames that may be the sensor's."""
+    if arguments.urdf:
+        file = Path(arguments.urdf).expanduser()
+        if not file.is_file():
+            return "name an existing file: --urdf FILE (nodes: urdf_file)"
+        text = file.read_text(encoding="utf-8", errors="replace")
     try:
         links = [str(link.get("name")) for link in ElementTree.fromstring(text).iter("link")]
     except ElementTree.ParseError:
         return "give a URDF (a xacro must be expanded first)"
     like = [name for name in links if _SENSOR_LIKE.search(name)]
-    return f"give --sensor-frame {' or '.join(like)} (nodes: sensor_frame)" if like else ""
+    if not like or (arguments.sensor_frame or ArmParameters.sensor_frame) in links:
+        return ""
+    return f"give --sensor-frame {' or '.join(like)} (nodes: sensor_frame)"
 
 
 # Samples
@@ -271,7 +300,13 @@ def _rate_check(topic: str, times_ns: Array, limit_s: float) -> Check:
     steps_s = np.diff(np.sort(stamps)) * 1e-9
     if not np.all(stamps) or len(steps_s) < _FEWEST:
         found = f"{len(stamps)} messages, {np.sum(stamps == 0)} of them without a stamp"
-        return Check(topic, FIX, found, "the driver must stamp and send all the time")
+        return Check(topic, FIX, found, f"{_UNSTAMPED}; it must send all the time")
+    # Without the arrivals' own step: a stalled network is no jump.
+    jumps_s = (np.diff(stamps) - np.diff(arrivals)) * 1e-9
+    jumps_s = jumps_s[np.abs(np.diff(stamps)) > _CLOCK_OFFSET_S * 1e9]
+    if len(jumps_s) and np.max(np.abs(jumps_s)) > _CLOCK_OFFSET_S:
+        found = f"a stamp jumps by {jumps_s[np.argmax(np.abs(jumps_s))]:+.3f} s"
+        return Check(topic, FIX, found, _JUMP)
     late_s, longest_s = float(np.median(arrivals - stamps)) * 1e-9, float(steps_s.max())
     found = (
         f"{1.0 / steps_s.mean():.1f} Hz, jitter {steps_s.std() * 1e3:.2f} ms, longest step"
@@ -281,7 +316,9 @@ def _rate_check(topic: str, times_ns: Array, limit_s: float) -> Check:
         found += f": {np.sum(steps_s > limit_s)} steps above {limit_s * 1e3:g} ms"
         return Check(topic, FIX, found, "raise the rate, or unload the network and the machine")
     if abs(late_s) > _CLOCK_OFFSET_S:
-        remedy = "synchronise the clocks (chrony), or use_sim_time for a bag or a simulation"
+        remedy = (
+            "synchronise the clocks (chrony); with a bag's or a simulation's /clock: use_sim_time"
+        )
         return Check(topic, NOTE, found, remedy)
     return Check(topic, OK, found)
 

@@ -5,6 +5,7 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -95,6 +96,11 @@ def turned(_: JointState, wrench: WrenchStamped) -> None:
         part.x, part.y = part.y, -part.x
 
 
+def upside_down(_: JointState, wrench: WrenchStamped) -> None:
+    for part in (wrench.wrench.force, wrench.wrench.torque):
+        part.y, part.z = -part.y, -part.z
+
+
 def shifted(topic: int, seconds: int) -> Edit:
     def edit(*messages: Any) -> None:
         messages[topic].header.stamp.sec += seconds
@@ -128,12 +134,37 @@ def test_a_healthy_robot_has_nothing_to_fix_and_all_is_checked() -> None:
         (scaled(-1.0, -1.0), "the reading is reversed: negate the wrench"),
         (swapped, "ft_sensor must have the sensing element's axes"),
         (turned, "the sensing element is turned by 90.0 deg about -z"),
+        (upside_down, "180.0 deg about +x, in ft_sensor: in the driver (fx, fy, fz) := (fx, -fy"),
         (shifted(0, -1), "stamp both by one clock"),
         (shifted(1, -1), "stamp both by one clock"),
     ],
 )  # fmt: skip
 def test_each_fault_of_the_samples_is_named(edit: Edit, found: str) -> None:
     assert found in by(checked(edit), FIX)
+
+
+@pytest.mark.parametrize("seconds", [3600, 5, -5, -3600])
+def test_a_jump_of_the_stamps_is_no_matter_of_rate(seconds: int) -> None:
+    left = iter([0] * 200 + [seconds] * 200)
+
+    def edit(*messages: Any) -> None:
+        by_s = next(left)
+        for message in messages:
+            message.header.stamp.sec += by_s
+
+    fix = by(checked(edit), FIX)
+    assert fix.count(f"a stamp jumps by {seconds:+d}.000 s | stamps must not jump") == 2
+    assert "raise the rate" not in fix
+
+
+def test_a_stalled_network_is_no_jump_of_the_stamps() -> None:
+    tape = []
+    for k in range(400):
+        now_ns = START_NS + k * STEP_NS
+        arrival_ns = now_ns if k < 200 else max(now_ns, START_NS + 200 * STEP_NS + 3 * 10**9)
+        for topic, message in zip(("joint_states", "wrench_raw"), sample(k, now_ns), strict=True):
+            tape.append((topic, arrival_ns, serialize_message(message)))
+    assert "jumps by" not in by(sample_checks(tape, ARM, StreamParameters()), FIX)
 
 
 def test_a_few_lost_samples_are_no_fault() -> None:
@@ -149,7 +180,7 @@ def test_slow_joints_lose_wrenches_and_two_drivers_mix_their_stamps() -> None:
     assert "joint_states | fix | 8 messages" in text and "set max_joint_age_s" in text
     turn = iter(range(800))
     two_drivers = by(checked(lambda j, _: shifted(0, -(next(turn) % 2))(j)), FIX)
-    assert "one clock, one driver" in two_drivers
+    assert "and one driver" in two_drivers
 
 
 def test_what_can_not_be_checked_is_a_note_with_what_to_do() -> None:
@@ -212,6 +243,16 @@ def test_the_command_passes_a_robot_by_its_own_description(
         assert main(["--seconds", "2.5", "--urdf", str(URDF), "--sensor-frame", "wrist"]) == 1
         out = capfd.readouterr().out
         assert "'wrist'" in out and "1 to fix" in out  # a long path may break the line anywhere
+        without_clock = ("--ros-args", "-p", "use_sim_time:=true")
+        for words, what, remedy in (
+            (("--urdf", str(URDF), "--sensor-frame", "wrist"), "arm", "--sensor-frame tool0 or ft"),
+            (("--urdf", "nowhere.urdf"), "arm", "name an existing file: --urdf FILE"),
+            (without_clock, "time", "start what publishes /clock"),
+        ):
+            assert main(["--seconds", "1", "--json", *words]) == 1
+            checks = json.loads(capfd.readouterr().out)["checks"]
+            (fix,) = (check for check in checks if check["state"] == FIX)
+            assert fix["what"] == what and remedy in fix["remedy"]
 
 
 def test_best_effort_a_second_sensor_and_a_frame_that_lacks_are_named() -> None:
@@ -251,6 +292,32 @@ def test_without_a_driver_the_topics_of_its_type_are_offered() -> None:
     assert "joint_states | fix | no message came" in fix and "publish it transient local" in fix
     assert "nothing offers /zero_ft_sensor" in note
     assert "motion | ok | /arm_controller/follow_joint_trajectory" in by(checks, OK)
+
+
+@pytest.mark.parametrize(
+    ("shape", "trouble"),
+    [
+        ('<mesh filename="package://lacking/arm.stl"/>', "the meshes of"),
+        ("", "no collision shapes"),
+    ],
+)
+def test_shapes_that_a_moving_arm_needs_are_missed(shape: str, trouble: str) -> None:
+    robot = ElementTree.fromstring(URDF.read_text())
+    for link in robot.iter("link"):
+        for collision in link.findall("collision"):
+            link.remove(collision)
+            if shape:
+                geometry = ElementTree.SubElement(collision, "geometry")
+                geometry.append(ElementTree.fromstring(shape))
+                for old in collision.findall("geometry")[:-1]:
+                    collision.remove(old)
+                link.append(collision)
+    text = ElementTree.tostring(robot, encoding="unicode")
+    with Harness() as harness:
+        harness.add(lambda context: Robot(description=text, context=context))
+        (found,) = (check for check in observed(harness) if check.what == "collisions")
+    assert found.state == FIX and trouble in found.found
+    assert "ROS_PACKAGE_PATH" in found.remedy and "require_collision_shapes" in found.remedy
 
 
 def test_another_arm_without_a_description_is_not_passed_as_the_galen() -> None:

@@ -49,6 +49,15 @@ class CalibrateClient(GoalClient):
         self._state: int | None = None
         self._asked: int | None = None
         self._question = False
+        self._shown_warnings: set[str] = set()
+
+    def run(self) -> Any:
+        """Run it; without `--json` the result has only the warnings not shown yet."""
+        result = super().run()
+        if not self.options.json:
+            told = self._shown_warnings
+            result.warnings = [text for text in result.warnings if WARNING + text not in told]
+        return result
 
     def make_goal(self) -> CalibrateTool.Goal:
         """Return what the options ask for."""
@@ -102,6 +111,7 @@ class CalibrateClient(GoalClient):
         sweeps = (CalibrationState.SWEEP_BARE, CalibrationState.SWEEP_TOOL)
         guides = self.options.by_hand and state in sweeps and not len(feedback.angles)
         if feedback.message.startswith(WARNING):
+            self._shown_warnings.add(feedback.message)
             self.bar.line(feedback.message)
         elif guides or (not self.bar.active and state != self._state):
             self.bar.line(f"[{feedback.done}/{feedback.total}] {feedback.message}")
@@ -131,7 +141,7 @@ def parse(arguments: list[str]) -> argparse.Namespace:
         nargs=3,
         type=finite,
         metavar=("X", "Y", "Z"),
-        help="the tool's tip in ft_sensor, m; else the old file's is kept, or (0, 0, 0)",
+        help="the tool's tip in the sensor's frame, m; else the old file's is kept, or (0, 0, 0)",
     )
     parser.add_argument(
         "--one-sweep",

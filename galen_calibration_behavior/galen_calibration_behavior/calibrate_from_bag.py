@@ -214,7 +214,7 @@ def _add_sweep_options(group: argparse._ArgumentGroup) -> None:
         nargs=3,
         type=float,
         metavar=("X", "Y", "Z"),
-        help="the tool's tip in ft_sensor, m; else the old file's is kept, or (0, 0, 0)",
+        help="the tool's tip in the sensor's frame, m; else the old file's is kept, or (0, 0, 0)",
     )
     group.add_argument(
         "-p",
@@ -253,7 +253,7 @@ def _add_estimate_options(group: argparse._ArgumentGroup) -> None:
         nargs=3,
         type=float,
         metavar=("X", "Y", "Z"),
-        help="the tool's centre in ft_sensor, as drawn; the common torque gain needs it",
+        help="the tool's centre in the sensor's frame, as drawn; the common torque gain needs it",
     )
     group.add_argument(
         "--known-com-std-m", type=positive, metavar="M", help="and its standard deviation"

@@ -30,6 +30,7 @@ _EXITS = {
     CheckAnswer.RECALIBRATE: EXIT_RECALIBRATE,
     CheckAnswer.UNSURE: EXIT_UNSURE,
 }
+_SIGMAS = 2.0  # a change of mass alone is significant beyond so many standard deviations
 _HEADS = {
     CheckAnswer.GOOD: "good",
     CheckAnswer.RETARE: "re-tare",
@@ -125,8 +126,9 @@ def format_result(result: Any) -> str:
 
 def _beside_noise(result: Any) -> str:
     """Say whether the change of mass is noise; whether it matters, the answer says."""
-    found = f"{1e3 * result.found_mass_kg:.2f} g"
-    if abs(result.mass_change_kg) < result.found_mass_kg:
+    noise_kg = max(result.found_mass_kg, _SIGMAS * result.mass_change_std_kg)
+    found = f"{1e3 * noise_kg:.2f} g"
+    if abs(result.mass_change_kg) < noise_kg:
         return f"a change of less than {found} can be noise"
     return f"a change of {found} or more is no noise; the limits say whether it matters"
 

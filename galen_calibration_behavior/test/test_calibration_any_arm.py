@@ -70,6 +70,20 @@ def test_an_arm_that_has_no_good_poses_does_not_move(change, start, code, words)
     assert world.of(MoveTo) == []
 
 
+def test_another_joint_is_looked_at_where_it_is_reported():
+    plate = '<collision><geometry><box size="3 3 0.02"/></geometry></collision>'
+    text = URDF.replace(
+        "</robot>",
+        f'<link name="table">{plate}</link><joint name="lift" type="prismatic">'
+        '<parent link="base_link"/><child link="table"/><origin xyz="0 0 -3"/><axis xyz="0 0 1"/>'
+        '<limit lower="-9" upper="9" effort="1" velocity="1"/></joint></robot>',
+    )
+    world = calibrating(dataclasses.replace(FAST, arm=read_arm(text, base_frame="base_link")))
+    world.procedure.beside["lift"] = 3.0 + ARM.sensor_pose(HERE)[1][2]
+    failed(world.run(), CalibrationCode.BAD_INPUT, "table")
+    assert world.of(MoveTo) == []
+
+
 def test_the_grid_is_the_galens():
     assert CalibrationParameters().pose_kind == "grid"
     assert (FAST.pose_kind, FAST.pose_count) == ("chosen", 18)

@@ -7,14 +7,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from galen_bags.arrays.arm_recording import arm_of_bag
 from galen_bags.arrays.arm_recording import read_arm as read_recording
+from galen_bags.formats.bag import open_bag
 from galen_bags.formats.writer import BagWriter
 from galen_calibration_behavior.calibrate_from_bag import main
 from galen_calibration_behavior.from_bag.visits import find_visits
 from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_model.arm.description import read_arm
 from galen_model.arm.galen import SENSOR
+from galen_model.errors import GalenError
 from galen_model.load.model import ADAPTER, TOOLS, gravity_wrench
+from galen_ros.arm import ArmParameters
 from galen_ros.cdr import joint_state_bytes, wrench_bytes
 
 URDF = (Path(__file__).parents[2] / "galen_bringup/urdf/six_axis.urdf").read_text()
@@ -132,6 +136,18 @@ def test_arm_frame_and_topics_are_found_in_the_recording(tmp_path, capsys):
     file = json.loads((bag / "tools/gripper.json").read_text())
     assert file["sensor_frame"] == "tool0"
     assert file["arm"]["joints"] == list(ARM.joint_names)
+
+
+@pytest.mark.parametrize("place", ["recording/sweep", "recording"])
+def test_the_arm_of_a_bag_is_described_by_a_file_in_it_or_above(tmp_path, place):
+    bag = write_robot(tmp_path / "recording/sweep", poses=1, described=False)
+    (tmp_path / place / "arm.urdf").write_text(URDF)
+    with open_bag(bag) as opened:
+        found = arm_of_bag(opened, ArmParameters())
+    assert not found.difference(read_arm(URDF, sensor_frame="tool0"))
+    (tmp_path / place / "arm.urdf").write_bytes(b"\xff")
+    with open_bag(bag) as opened, pytest.raises(GalenError, match=r"arm.urdf: can't be read"):
+        arm_of_bag(opened, ArmParameters())
 
 
 @pytest.mark.parametrize(

@@ -100,6 +100,8 @@ def test_enter_pressed_twice_answers_one_question(world):
     os.close(terminal)
     assert code == 0, error
     assert all(words in out for words in ("pointer", "adapter", "warning: ", "written: "))
+    warnings = [line for line in (out + error).splitlines() if line.startswith("warning: ")]
+    assert len(warnings) == len(set(warnings))
 
 
 def test_ctrl_c_cancels_and_waits_for_the_stop(world):

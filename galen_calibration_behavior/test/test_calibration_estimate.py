@@ -206,6 +206,8 @@ def test_the_tip_is_taken_kept_or_zero(tmp_path):
     assert "pointer.json" in warnings[0]
     with pytest.raises(GalenError, match="nan"):
         choose_tip(np.array([0.1, math.nan, 0.0]), path, arm=GALEN)
+    with pytest.raises(GalenError, match=r"at most 2 m along an axis; is it in m\?"):
+        choose_tip(np.array([5.0, 0.0, 0.0]), path, arm=GALEN)
 
 
 def test_torques_in_another_unit_are_written_only_where_it_is_said(tmp_path):

@@ -163,17 +163,19 @@ def test_a_result_is_words_for_a_person_and_json_for_a_program():
 
 
 @pytest.mark.parametrize(
-    ("change_kg", "words"),
+    ("change_kg", "std_kg", "words"),
     [
-        (-0.00019, "a change of 0.13 g or more is no noise; the limits say whether it matters"),
-        (0.00005, "a change of less than 0.13 g can be noise"),
+        (-0.00019, 5e-5, "a change of 0.13 g or more is no noise; the limits say whether it"),
+        (0.00005, 5e-5, "a change of less than 0.13 g can be noise"),
+        (-0.00018, 1e-4, "a change of less than 0.20 g can be noise"),
     ],
 )
-def test_the_mass_is_called_noise_or_not_by_what_was_found(change_kg, words):
+def test_the_mass_is_called_noise_or_not_by_what_was_found(change_kg, std_kg, words):
     result = CheckTool.Result(
-        answer=int(CheckAnswer.GOOD), mass_change_kg=change_kg, found_mass_kg=0.00013, poses_used=6
-    )
-    assert format_result(result).splitlines()[-1].endswith(f"6 poses; {words}")
+        answer=int(CheckAnswer.GOOD), mass_change_kg=change_kg, mass_change_std_kg=std_kg,
+        found_mass_kg=0.00013, poses_used=6,
+    )  # fmt: skip
+    assert format_result(result).splitlines()[-1].partition("6 poses; ")[2].startswith(words)
 
 
 @pytest.mark.parametrize("arguments", [["a/b"], ["--poses", "-1"], ["pointer", "--timeout-s", "0"]])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,8 @@ from galen_deflection.measurement.measured_deflection import (
 from galen_deflection.measurement.samples import DeflectionError, DeflectionSamples
 from galen_deflection.models.file import KINDS, DeflectionModel, read_model
 from galen_deflection.models.interface import FitSettings, PredictedSamples
+from galen_deflection.models.network import LSTM
+from galen_deflection.models.network_training import NEEDS
 from galen_deflection.scoring.cross_check import (
     SPLITS,
     Checked,
@@ -149,7 +152,8 @@ def _check_tip(path: Path, model: DeflectionModel, bag: Path, tool: CalibrationF
     tip, own = np.asarray(tool.tip_m, dtype=float), np.asarray(model.tip_m)
     if not np.allclose(own, tip, atol=1e-9):
         raise DeflectionError(
-            f"{path}: was fitted for a tool with its tip at {own.tolist()} m in ft_sensor, but"
+            f"{path}: was fitted for a tool with its tip at {own.tolist()} m in"
+            f" {tool.sensor_frame}, but"
             f" {bag} was recorded with {tool.tool}, whose tip is at {tip.tolist()} m"
         )
 
@@ -199,6 +203,9 @@ def evaluate_kinds(arguments: argparse.Namespace) -> int:
     names = arguments.split or usual_splits(samples)
     splits = {name: SPLITS[name](samples) for name in names}
     kinds = list(dict.fromkeys(arguments.kinds or KINDS))
+    if not arguments.kinds and find_spec("torch") is None:
+        kinds.remove(LSTM)
+        print(f"evaluate: {LSTM} is left out: training a network {NEEDS}", file=sys.stderr)
     results, failed = [], False
     to = terminal(TABLE_WIDTH)
     if not arguments.json:
@@ -326,7 +333,7 @@ def build_parser() -> argparse.ArgumentParser:
         nargs="+",
         choices=list(KINDS),
         metavar="KIND",
-        help=f"of {', '.join(KINDS)} (default: all)",
+        help=f"of {', '.join(KINDS)} (default: all; without PyTorch no {LSTM})",
     )
     group.add_argument(
         "--split",

@@ -1,6 +1,7 @@
 """train and evaluate, end to end on small recordings."""
 
 import json
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -220,6 +221,24 @@ def test_a_kind_that_fails_is_named_and_the_others_go_on(folder, capsys, monkeyp
     assert (code, err) == (EXIT_FAILED, "")
     assert "lstm: no such luck" in out
     assert "joint_stiffness" in out
+
+
+def test_without_pytorch_the_network_is_left_out_unless_it_is_asked_for(
+    folder, capsys, monkeypatch
+):
+    monkeypatch.setattr(evaluate, "find_spec", lambda _: None)
+    monkeypatch.delitem(KINDS, "joint_hysteresis")  # slow
+    monkeypatch.setitem(sys.modules, "torch", None)
+    arguments = (folder / "bags" / "first", "--tool", TOOL_FILE, "--split", "position")
+    code, out, err = call("evaluate", capsys, *arguments)
+    assert code == EXIT_OK and "joint_stiffness" in out and "lstm" not in out
+    assert (
+        err
+        == "evaluate: lstm is left out: training a network needs PyTorch: `make networks`"
+        + (" installs it\n")
+    )
+    code, out, err = call("evaluate", capsys, *arguments, "--kinds", "lstm", "joint_stiffness")
+    assert code == EXIT_FAILED and "needs PyTorch" in out and "joint_stiffness" in out
 
 
 # --- all ----------------------------------------------------------------------------------------

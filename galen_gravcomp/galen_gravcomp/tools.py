@@ -116,8 +116,7 @@ def _list(arguments: argparse.Namespace, store: CalibrationStore) -> None:
             " calibration makes it"
         )
     table = Table(title=escape(str(store.directory)), title_justify="left")
-    centre = f"centre in {escape(store.arm.sensor_frame)}, mm"
-    for name in ("tool", "mass, g", centre, "calibrated", "poses", "parts"):
+    for name in ("tool", "mass, g", "centre, mm", "in", "calibrated", "poses", "parts"):
         table.add_column(name)
     rows: list[dict[str, Any]] = []
     broken = []
@@ -137,7 +136,7 @@ def _list(arguments: argparse.Namespace, store: CalibrationStore) -> None:
         }
         parts = (*tool.parts, *(("one sweep",) if tool.unresolved else ()))
         age, poses = age_text(tool.calibrated_at), str(tool.poses_used)
-        load = (_mass(tool.load), _millimetres(tool.load.com_m))
+        load = (_mass(tool.load), _millimetres(tool.load.com_m), escape(tool.sensor_frame))
         table.add_row(entry.name, *load, age, poses, ", ".join(parts))
     removed = list(store.removed())
     shown = [f"removed, and can be restored: {', '.join(removed)}"] if removed else []
@@ -350,7 +349,8 @@ def main(args: Sequence[str] | None = None) -> int:
         if arguments.command == "active":
             _active(arguments, words[at:])
         else:
-            store = CalibrationStore(arguments.tools_dir, chosen_arm(arguments))
+            arm, any_arm = chosen_arm(arguments), not arguments.urdf
+            store = CalibrationStore(arguments.tools_dir, arm, other_arms=any_arm)
             _COMMANDS[arguments.command](arguments, store)
         return EXIT_OK
 

@@ -14,7 +14,10 @@ from galen_model.files.calibration_file import (
     CalibrationFile,
     calibration_path,
     write_calibration,
+    zeroed_at,
 )
+from galen_model.load.cable import LearnedPull
+from galen_model.load.mounting.mounting import Mounting
 
 from galen_gravcomp import tool_services
 from galen_gravcomp import tools as tools_module
@@ -210,9 +213,53 @@ def test_a_tool_of_another_arm_is_read_and_exported_with_that_arm(tools: Command
         calibration_path(tools.folder, "grip"), pointer("grip", arm=arm, zeroing=None)
     )
     with_arm = ("--urdf", str(SIX_AXIS))
-    assert "made on the arm" in tools("list") and "can't be used" in tools("list", *with_arm)
+    assert "can't be used" in tools("list", *with_arm)
     assert "60.00" in tools("show", "grip", *with_arm)
     found = tools.json("export", "grip", "--format", "franka", "--frame", "tool0", *with_arm)
     np.testing.assert_allclose(found["com_m"], [0.020625, 0.00075, 0.049375], atol=1e-12)
-    tools("export", "grip", "--format", "franka", code=1)
-    assert "this arm is 'galen'" in tools.err
+    tools("export", "pointer", "--format", "franka", *with_arm, code=1)
+    assert "this arm is 'six_axis'" in tools.err
+
+
+@pytest.mark.parametrize("zeroed", [True, False])
+def test_a_tool_of_another_arm_needs_its_description_for_what_the_file_lacks_alone(
+    tools: Command, zeroed: bool
+) -> None:
+    arm = read_arm(SIX_AXIS.read_text(), sensor_frame="tool0")
+    zeroing = zeroed_at(arm=arm) if zeroed else None
+    for name, mass_kg in (("grip", 0.06), ("drill", 0.07)):
+        made = pointer(name, mass_kg=mass_kg, arm=arm, zeroing=zeroing)
+        write_calibration(calibration_path(tools.folder, name), made)
+    rows = {row["tool"]: row["problem"] for row in tools.json("list")["tools"]}
+    assert rows["grip"] is None and rows["pointer"] is None
+    assert "tool0" in tools("list") and "centre in tool0" in tools("show", "grip")
+    found = tools.json("export", "grip", "--format", "ur")
+    assert (found["frame"], found["mass_kg"]) == ("tool0", pytest.approx(0.16))
+    with_arm = ("--urdf", str(SIX_AXIS), "--sensor-frame", "tool0")
+    worst = [tools.json("compare", "grip", "drill", *words)["worst"] for words in ((), with_arm)]
+    for axes in ("force_n", "torque_nm"):
+        assert worst[0][axes] == pytest.approx(worst[1][axes], rel=0.01)
+    for words, said in (
+        (("compare", "grip", "pointer"), "of two arms"),
+        (("export", "grip", "--format", "control_toolbox"), "--urdf FILE and --sensor-frame tool0"),
+        (("export", "grip", "--format", "ur", "--frame", "flange"), "frame 'flange' is in the"),
+    ):
+        tools(*words, code=1)
+        assert said in tools.err
+    assert "is now" in tools("rename", "grip", "probe")
+
+
+def test_a_mounting_and_a_cable_of_another_arm_are_shown(tools: Command) -> None:
+    arm = read_arm(SIX_AXIS.read_text())
+    flat = np.zeros(3), np.ones(6)
+    pull = LearnedPull(
+        "point_and_couple", np.zeros((30, 6)), np.zeros((30, 6)), np.full((30, 6), 0.01),
+        flat[1], 0.15, np.array([0.2, 0.02]), 0.4, "today", flat[0], arm=arm,
+    )  # fmt: skip
+    parts: dict[str, Any] = {"mounting": Mounting.of(arm), "cable": pull}
+    write_calibration(
+        calibration_path(tools.folder, "grip"), pointer("grip", arm=arm, zeroing=None, **parts)
+    )
+    assert tools.json("show", "grip")["mounting"]["joint_zero_rad"]["elbow"] == 0.0
+    tools("compare", "grip", "grip", code=1)
+    assert "has a mounting" in tools.err and "--urdf FILE" in tools.err

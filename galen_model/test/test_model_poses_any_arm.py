@@ -2,6 +2,7 @@
 
 import itertools
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -253,3 +254,30 @@ def test_joints_beside_the_arm_that_could_move_shapes_are_told():
         (warning,) = with_second(shape, *ends)
         assert warning.endswith("with the joints beside the arm at zero, wherever they are: second")
         assert with_second("", *ends) == ()
+
+
+def test_joints_beside_the_arm_stand_where_they_are_reported():
+    limit = '<axis xyz="0 0 1"/><limit lower="-9" upper="9" effort="1" velocity="1"/>'
+    plate = '<collision><geometry><box size="3 3 0.02"/></geometry></collision>'
+    text = URDF.replace(
+        "</robot>",
+        f'<link name="frame"/><link name="table">{plate}</link>'
+        f'<joint name="lift" type="prismatic"><parent link="base_link"/><child link="frame"/>'
+        f'<origin xyz="0 0 -3"/>{limit}</joint>'
+        f'<joint name="second" type="prismatic"><parent link="frame"/><child link="table"/>{limit}'
+        '<mimic joint="lift" multiplier="2" offset="0.1"/></joint></robot>',
+    )
+    arm = read_arm(text, base_frame="base_link")
+
+    def clearance(**beside):
+        return ArmClearance((), 0.0, TIP, replace(arm, beside=beside), HERE)
+
+    height = ARM.sensor_pose(HERE)[1][2]
+    assert clearance().pose_fault(HERE) == ""
+    assert clearance().warnings[-1].endswith("lift, second")
+    raised = clearance(lift=(height + 2.9) / 3.0, elbow=9.0)
+    assert "table" in raised.pose_fault(HERE)
+    assert not any("at zero" in warning for warning in raised.warnings)
+    # The follower's own report counts more.
+    assert clearance(lift=(height + 2.9) / 3.0, second=-2.0).pose_fault(HERE) == ""
+    assert clearance(lift=np.nan, second=0.0).warnings[-1].endswith("lift")

@@ -1,6 +1,7 @@
 """Recordings are found and described from their metadata; nothing leads out of the directory."""
 
 import shutil
+import time
 from pathlib import Path
 
 import pytest
@@ -61,6 +62,12 @@ def archive(tmp_path):
 def described(archive):
     """What the search found and what their metadata says, by name."""
     return {one.name: (one, look_at(one, archive)) for one in find_recordings(archive)[0]}
+
+
+def test_a_bag_without_messages_is_not_dated_by_its_metadata(tmp_path):
+    make_bag(tmp_path / "empty", start=2**63 - 1, duration=0)
+    found, _ = described(tmp_path)["empty"]
+    assert abs(found.at_s - time.time()) < 3600.0
 
 
 def test_the_repositorys_bags_are_found_with_what_metadata_says():

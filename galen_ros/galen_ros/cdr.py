@@ -106,6 +106,13 @@ def joint_state_layout(data: bytes) -> Layout:
     return walk.layout(frame_id, names, starts, counts)
 
 
+def joint_positions(data: bytes) -> dict[str, float]:
+    """Return the positions of a serialised JointState by name; raises UnreadableError."""
+    layout = joint_state_layout(data)
+    positions = layout.doubles[0].unpack_from(data, layout.doubles_at[0])
+    return dict(zip(layout.names, positions, strict=False))
+
+
 class _Walk:
     """Walks over a message's values and collects the runs of bytes that stay as they are."""
 

@@ -6,6 +6,7 @@ from galen_model.arm.galen import GALEN
 from galen_ros.cdr import (
     JointWire,
     UnreadableError,
+    joint_positions,
     joint_state_bytes,
     joint_state_layout,
     pose_bytes,
@@ -127,3 +128,4 @@ def test_joints_come_as_tuples_even_one(wanted):
     _, positions, velocities = wire.read_motion(serialize_message(message))
     assert positions == (2.0, 1.0)[: len(wanted)]
     assert velocities == (4.0, 3.0)[: len(wanted)]
+    assert joint_positions(bytes(serialize_message(message))) == {"roll": 1.0, "tilt": 2.0}

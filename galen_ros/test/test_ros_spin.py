@@ -75,6 +75,14 @@ def test_bad_input_is_one_line_and_exit_code_1(capfd):
 
 
 @pytest.mark.usefixtures("domain")
+def test_a_domain_without_ports_is_one_line(monkeypatch, capfd):
+    monkeypatch.setenv("ROS_DOMAIN_ID", "500")
+    with pytest.raises(SystemExit) as ended:
+        run(lambda: Node("never"), [])
+    assert ended.value.code == 1
+    assert capfd.readouterr().err.startswith("error: ROS_DOMAIN_ID is 500: at most 232")
+
+
 def test_a_parameter_that_the_node_does_not_have_is_told(capfd):
     def misspelt():
         node = Node("node", cli_args=["--ros-args", "-p", "use_sim_tim:=true"])

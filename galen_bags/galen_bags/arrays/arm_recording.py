@@ -15,9 +15,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from galen_model.arm.arm import Arm
+from galen_model.arm.arm import MAX_URDF_BYTES, Arm
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
+from galen_model.files.json_fields import FieldError, read_limited
 from galen_ros.arm import ArmParameters
 from galen_ros.cdr import (
     NS_PER_S,
@@ -39,6 +40,8 @@ WRENCH_TYPE = "geometry_msgs/msg/WrenchStamped"
 POSE_TYPE = "geometry_msgs/msg/PoseStamped"
 JOINT_STATE_TYPE = "sensor_msgs/msg/JointState"
 TEMPERATURE_TYPE = "sensor_msgs/msg/Temperature"
+ARM_FILE = "arm.urdf"
+"""A recording's description of its arm, beside its bags."""
 
 _FIRST = np.zeros(1, dtype=np.intp)
 _NO_MESSAGES = Messages(*[np.zeros(0, dtype=np.int64)] * 5)  # a block's, once it is decoded
@@ -273,10 +276,11 @@ def topics_of(arguments: argparse.Namespace) -> ArmTopics:
 def arm_of_bag(bag: Bag, parameters: ArmParameters, topics: ArmTopics | None = None) -> Arm:
     """Return the arm of the parameters' file, else of the bag's description, else the Galen.
 
-    A described arm's sensor frame is the wrenches' own `frame_id`, unless the parameters name one.
-    Raises BagError and GalenError.
+    The description is the bag's `robot_description`, else `arm.urdf` in its directory or the one
+    above, as a recording has it. A described arm's sensor frame is the wrenches' own `frame_id`,
+    unless the parameters name one. Raises BagError and GalenError.
     """
-    text, topics = robot_description(bag), topics or ArmTopics()
+    text, topics = robot_description(bag) or _arm_file(bag.path), topics or ArmTopics()
     if not (text or parameters.urdf_file) or parameters.sensor_frame != ArmParameters.sensor_frame:
         return parameters.arm(text)
     topic = topics.find(bag, WRENCH_TYPE)
@@ -287,6 +291,18 @@ def arm_of_bag(bag: Bag, parameters: ArmParameters, topics: ArmTopics | None = N
     except GalenError as error:
         raise BagError(f"{bag.path}: {_odd_frame(topic, frame, topics, str(error))}") from error
     return arm
+
+
+def _arm_file(bag: Path) -> str:
+    folder = bag if bag.is_dir() else bag.parent
+    for file in (folder / ARM_FILE, folder.parent / ARM_FILE):
+        try:
+            return read_limited(file, MAX_URDF_BYTES, "a robot description").decode()
+        except FileNotFoundError:
+            continue
+        except (OSError, UnicodeDecodeError, FieldError) as error:
+            raise GalenError(f"{file}: can't be read: {error}") from error
+    return ""
 
 
 def _odd_frame(topic: str, frame: str, topics: ArmTopics, error: str) -> str:

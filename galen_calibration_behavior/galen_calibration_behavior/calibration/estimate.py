@@ -37,7 +37,7 @@ from galen_model.setup_check.readings import StillReadings
 
 from galen_calibration_behavior.commands import CalibrationCode, Measurements
 
-LONGEST_TOOL_M = 10.0
+LONGEST_TOOL_M = 2.0
 """A slip of the unit or a made-up number is found before the arm moves, not after the sweep."""
 
 
@@ -97,7 +97,8 @@ def choose_tip(tip_m: Array, path: Path, arm: Arm) -> tuple[Array, list[str]]:
     if np.all(np.isfinite(tip_m)):
         if np.max(np.abs(tip_m)) > LONGEST_TOOL_M:
             raise GalenError(
-                f"tip_m is {tip_m.tolist()}: at most {LONGEST_TOOL_M:g} m along an axis"
+                f"tip_m is {tip_m.tolist()}: at most {LONGEST_TOOL_M:g} m along an axis; is it in"
+                " m?"
             )
         return tip_m, []
     if not np.all(np.isnan(tip_m)):

@@ -196,7 +196,7 @@ class CalibrationProcedure(PoseProcedure):
         assert self._joints is not None
         request = self._request
         try:
-            self._settings = self._settings.standing_at(self._joints)
+            self._settings = self._settings.beside(self.beside).standing_at(self._joints)
             plan = self._settings.plan(np.asarray(request.tip_m), one_sweep=request.one_sweep)
         except NotExcitedError as error:
             self.fail(CalibrationCode.NOT_EXCITED, str(error))

@@ -82,7 +82,7 @@ class CheckProcedure(PoseProcedure):
         if not np.all(np.isfinite(self._joints)):
             self.fail(CheckCode.BAD_INPUT, "joint_states holds values that are not finite")
             return
-        settings = self._settings
+        settings = self._settings.beside(self.beside)
         present = settings.standing_at(self._joints).present
         assert present is not None
         self._before = present

@@ -221,7 +221,8 @@ class CollectionProcedure(GoalProcedure):
     def _begin(self) -> None:
         assert self._joints is not None
         try:
-            self._plan = self._plan.begun_at(self._joints, self._settings, self._tip_m)
+            settings = self._settings.beside(self.beside)
+            self._plan = self._plan.begun_at(self._joints, settings, self._tip_m)
         except PlanError as error:
             far = isinstance(error, OutOfReachError)
             self.fail(ErrorCode.OUT_OF_REACH if far else ErrorCode.BAD_INPUT, str(error))

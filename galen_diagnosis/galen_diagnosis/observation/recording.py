@@ -11,7 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from galen_bags.arrays.arm_recording import ArmRecording, read_arm
+from galen_bags.arrays.arm_recording import ARM_FILE, ArmRecording, read_arm
 from galen_bags.arrays.marker_tracks import marker_track, read_poses
 from galen_bags.formats.bag import open_bag, robot_description
 from galen_bags.formats.files import is_bag
@@ -45,7 +45,7 @@ from galen_sim_driver.effects.sensor import AxisGain, SensorMountRotation
 from galen_bags import BagError
 from galen_diagnosis.observation.rows import BAGS
 
-RECORDING_FILES = ("tool.json", "arm.urdf")
+RECORDING_FILES = ("tool.json", ARM_FILE)
 """What is read of a recording beside its bags."""
 _JUMP_S = 1.0
 _TRACKER_TOPICS = ("tracker/tool_pose", "tracker/base_pose")

@@ -148,7 +148,8 @@ class Arm:
 
     sensor_origin_m (3,) and sensor_rotation (3, 3) place the sensor in the last joint's link.
     gravity_m_s2: (3,) in the base's frame. delta: rods that hold a platform, which the first three
-    joints move along x, y, z; None for a serial arm.
+    joints move along x, y, z; None for a serial arm. beside: where joints of the description that
+    are not the arm's stand, as a gripper's, by name, m and rad.
     """
 
     name: str
@@ -160,6 +161,7 @@ class Arm:
     sensor_frame: str = "ft_sensor"
     delta: LinearDelta | None = None
     urdf: str = field(default="", repr=False)
+    beside: Mapping[str, float] = field(default_factory=dict, repr=False, compare=False)
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the fields alone: what was derived of them may hold functions."""

@@ -4,7 +4,8 @@ An arm's parts are the collision shapes of its description, a mesh as its convex
 as a capsule from the sensor to the tip. Links that only fixed joints join are one body. Looked at
 are all pairs of bodies but neighbours, and but those that touch at the present pose and at most of
 the poses that the limits allow, which is how their shapes were drawn. Joints that are not between
-base and sensor are taken to stand at zero; a warning names those that could move shapes.
+base and sensor stand where `Arm.beside` has them, mimic joints accordingly, else at zero; a warning
+names those that could move shapes.
 
 The Galen's description has no collision shapes. Its moving parts are capsules along its known
 points: platform to roll axis, the roll link, tilt axis to sensor, sensor and adapter, and the tool
@@ -26,7 +27,7 @@ section 2.3).
 """
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -134,6 +135,7 @@ class ArmClearance:
             arm.joint_names,
             arm.base_frame,
             arm.sensor_frame,
+            arm.beside,
         )
         self.unchecked = ""
         """Why shapes of the arm lack, in words; empty where none does."""
@@ -394,16 +396,8 @@ def _hull(mesh: coal.BVHModelBase) -> coal.CollisionGeometry:
 
 
 @lru_cache(maxsize=2)  # a robot's meshes may take seconds
-def _chain(
-    urdf: str, joint_names: tuple[str, ...], base_frame: str, sensor_frame: str
-) -> tuple[
-    pinocchio.Model, list[pinocchio.GeometryObject], list[int], tuple[str, ...], tuple[str, ...]
-]:
-    """Return the model of the joints from base to sensor, its shapes and its joints' order.
-
-    All other joints are locked at zero, or at the limit that is nearest to it. Last come the links
-    without their meshes, and the locked joints that could move shapes against the base.
-    """
+def _whole(urdf: str) -> tuple[pinocchio.Model, pinocchio.GeometryModel, tuple[str, ...]]:
+    """Return the model of all joints, its shapes, and the links without their meshes."""
     text, hulls, without_shape = _described(urdf)
     whole = pinocchio.buildModelFromXML(text)
     shapes = pinocchio.buildGeomFromUrdfString(whole, text, pinocchio.GeometryType.COLLISION)
@@ -413,6 +407,38 @@ def _chain(
         shapes.addGeometryObject(  # without the frame's number a reduced model reads anywhere
             pinocchio.GeometryObject(name, held.parentJoint, frame, held.placement * place, hull)
         )
+    return whole, shapes, without_shape
+
+
+def _followed(urdf: str, values: Mapping[str, float]) -> dict[str, float]:
+    """Return the finite values of joints, and of those that follow one of them (mimic)."""
+    known = {name: value for name, value in values.items() if np.isfinite(value)}
+    for joint in ElementTree.fromstring(urdf).iter("joint"):
+        mimic = joint.find("mimic")
+        if mimic is not None and (leader := str(mimic.get("joint"))) in known:
+            factor, offset = (
+                float(mimic.get(*of)) for of in (("multiplier", "1"), ("offset", "0"))
+            )
+            known.setdefault(str(joint.get("name")), factor * known[leader] + offset)
+    return known
+
+
+def _chain(
+    urdf: str,
+    joint_names: tuple[str, ...],
+    base_frame: str,
+    sensor_frame: str,
+    beside: Mapping[str, float],
+) -> tuple[
+    pinocchio.Model, list[pinocchio.GeometryObject], list[int], tuple[str, ...], tuple[str, ...]
+]:
+    """Return the model of the joints from base to sensor, its shapes and its joints' order.
+
+    All other joints are locked where they stand by `beside`, else at zero, or at the limit that is
+    nearest to it. Last come the links without their meshes, and the joints locked at zero that
+    could move shapes against the base.
+    """
+    whole, shapes, without_shape = _whole(urdf)
     sensor, base = (
         whole.frames[whole.getFrameId(name, _BODY)].parentJoint
         for name in (sensor_frame, base_frame)
@@ -422,13 +448,22 @@ def _chain(
     locked = [k for k in range(1, whole.njoints) if k not in kept]
     supports = [list(whole.supports[shape.parentJoint]) for shape in shapes.geometryObjects]
     carried = set(whole.supports[base])
-    beside = [k for k in locked if any((k in support) != (k in carried) for support in supports)]
+    known = _followed(urdf, beside)
+    for k in locked:
+        if (value := known.get(whole.names[k])) is not None:
+            joint = whole.joints[k]
+            turned = [value] if joint.nq == 1 else [np.cos(value), np.sin(value)]
+            at[joint.idx_q : joint.idx_q + joint.nq] = turned
+    locked_at_zero = [k for k in locked if whole.names[k] not in known]
+    unknown = [
+        k for k in locked_at_zero if any((k in support) != (k in carried) for support in supports)
+    ]
     model, shapes = pinocchio.buildReducedModel(whole, shapes, locked, at)
     order = [joint_names.index(name) for name in model.names[1:]]
     parts = list(shapes.geometryObjects)
     for part in parts:
         part.name = part.name.rpartition("_")[0]  # of "link_0"
-    return model, parts, order, without_shape, tuple(whole.names[k] for k in beside)
+    return model, parts, order, without_shape, tuple(whole.names[k] for k in unknown)
 
 
 def _own_parts(model: pinocchio.Model, arm: Arm, tip: Array) -> list[pinocchio.GeometryObject]:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from galen_model.arm.arm import GRAVITY_RANGE_M_S2, Arm
+from galen_model.arm.arm import GRAVITY_RANGE_M_S2, Arm, Joint, constant
 from galen_model.arm.galen import GALEN, GRAVITY_M_S2
 from galen_model.arrays import Array
 from galen_model.errors import CalibrationFileError, ToolNameError
@@ -204,7 +204,7 @@ class CalibrationFile:
     def arm_warning(self) -> str:
         """A sentence where the file was made on another URDF of this arm, else empty."""
         made, here = self.made_on, self.arm.urdf_sha256
-        if made is None or made.urdf_sha256 in ("", here):
+        if made is None or not self.arm.urdf or made.urdf_sha256 in ("", here):
             return ""
         return (
             f"the calibration of '{self.tool}' was made with another URDF of the arm"
@@ -297,10 +297,16 @@ def read_calibration(path: str | os.PathLike[str], arm: Arm) -> CalibrationFile:
         raise CalibrationFileError(f"{path}: {error}") from error
 
 
-def parse_calibration(path: str | os.PathLike[str], raw: bytes, arm: Arm) -> CalibrationFile:
-    """Check the bytes of a calibration file; `path` is for the error that it raises."""
+def parse_calibration(
+    path: str | os.PathLike[str], raw: bytes, arm: Arm, *, other_arms: bool = False
+) -> CalibrationFile:
+    """Check the bytes of a calibration file; raises CalibrationFileError that names `path`.
+
+    other_arms: a file of another arm than `arm` is read as well. Its arm then has the file's name,
+    joints, sensor frame and gravity, but no geometry: its `urdf` is empty.
+    """
     try:
-        return _from_json(parse_json(raw), arm)
+        return _from_json(parse_json(raw), arm, other_arms)
     except (FieldError, ToolNameError, RecursionError) as error:
         raise CalibrationFileError(f"{path}: {error}") from error
 
@@ -349,15 +355,18 @@ def _wrench_to_json(wrench: Array) -> dict[str, Any]:
     return {"force_N": numbers(wrench[:3]), "torque_Nm": numbers(wrench[3:])}
 
 
-def _from_json(content: Any, arm: Arm) -> CalibrationFile:
+def _from_json(content: Any, arm: Arm, other_arms: bool = False) -> CalibrationFile:
     whole = mapping(content, "the file")
     check_kind(whole, CALIBRATION_FILE)
     if whole.get("schema_version") == 1:
         whole = _from_schema_1(whole)
     check_version(whole, SCHEMA_VERSION)
-    made = _made_on(get(whole, "arm"), arm, str(whole.get("sensor_frame", arm.sensor_frame)))
-    gravity = _gravity(get(whole, "gravity_m_s2"), arm)
+    made = _made_on(get(whole, "arm"))
     frame = text(get(whole, "sensor_frame"), "sensor_frame")
+    if other_arms and (made.joints, frame) != (arm.joint_names, arm.sensor_frame):
+        arm = _named_arm(made, frame, whole)
+    _check_arm(made, arm, frame)
+    gravity = _gravity(get(whole, "gravity_m_s2"), arm)
     if frame != arm.sensor_frame:
         raise FieldError(
             f"sensor_frame is '{frame}', but this arm's is '{arm.sensor_frame}': calibrate the tool"
@@ -419,21 +428,50 @@ def _from_schema_1(whole: Mapping[str, Any]) -> Mapping[str, Any]:
     }  # fmt: skip
 
 
-def _made_on(value: Any, here: Arm, frame: str) -> ArmIdentity:
-    """Read `arm`; another arm than this one is rejected with both names, and `frame`."""
+def _made_on(value: Any) -> ArmIdentity:
     whole = mapping(value, "arm")
     joints = tuple(text(name, "arm.joints") for name in items(get(whole, "joints"), "arm.joints"))
     name = text(get(whole, "name"), "arm.name")
-    if joints != here.joint_names:
-        raise FieldError(
-            f"made on the arm '{name}' with the joints {', '.join(joints) or 'none'}; this arm is"
-            f" '{here.name}' with {', '.join(here.joint_names)}: calibrate the tool on it, or name"
-            f" the file's arm and frame (--urdf FILE --sensor-frame {frame}; nodes: urdf_file,"
-            " sensor_frame)"
-        )
     # Empty: the description is not known.
     digest = get(whole, "urdf_sha256")
     return ArmIdentity(name, joints, digest and text(digest, "arm.urdf_sha256"))
+
+
+def _check_arm(made: ArmIdentity, here: Arm, frame: str) -> None:
+    """Reject another arm than this one, with both names and the file's frame."""
+    if made.joints != here.joint_names:
+        raise FieldError(
+            f"made on the arm '{made.name}' with the joints {', '.join(made.joints) or 'none'};"
+            f" this arm is '{here.name}' with {', '.join(here.joint_names)}: calibrate the tool on"
+            f" it, or name the file's arm and frame (--urdf FILE --sensor-frame {frame}; nodes:"
+            " urdf_file, sensor_frame; a recording: arm.urdf beside its bags)"
+        )
+
+
+def _named_arm(made: ArmIdentity, frame: str, whole: Mapping[str, Any]) -> Arm:
+    """Return the arm as far as its file names it; the joints' places and axes are not known."""
+    turning: set[str] = set()
+    for part, key in (("zeroing", "joints"), ("mounting", "joint_zero_rad")):
+        if whole.get(part) is not None:
+            turning |= set(mapping(get(mapping(whole[part], part), key), f"{part}.{key}"))
+    return Arm(
+        name=made.name,
+        joints=tuple(
+            Joint(
+                name,
+                "revolute" if name in turning or not turning else "prismatic",
+                axis=constant(0.0, 0.0, 1.0),
+                origin_m=np.zeros(3),
+                lower=-np.inf,
+                upper=np.inf,
+            )
+            for name in made.joints
+        ),
+        sensor_origin_m=np.zeros(3),
+        sensor_rotation=np.eye(3),
+        gravity_m_s2=array(get(whole, "gravity_m_s2"), "gravity_m_s2", (3,)),
+        sensor_frame=frame,
+    )
 
 
 def _gravity(value: Any, here: Arm) -> Array:
@@ -473,7 +511,7 @@ def _zeroing(value: Any, arm: Arm, gravity_m_s2: float) -> ZeroingPose | None:
             f"{name} is {size:g} m/s^2 long; expected {gravity_m_s2:g} as gravity_m_s2"
         )
     at = {joint: number(angle, f"zeroing.joints.{joint}") for joint, angle in joints.items()}
-    if at.keys() >= set(arm.turning_names):
+    if arm.urdf and at.keys() >= set(arm.turning_names):
         expected = arm.gravity_in_sensor([at[joint] for joint in arm.turning_names])
         cosine = gravity @ expected / size / np.linalg.norm(expected)
         angle = float(np.arccos(np.clip(cosine, -1.0, 1.0)))

@@ -21,6 +21,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from enum import Enum
+from functools import partial
 from pathlib import Path
 
 from galen_model.arm.arm import Arm
@@ -98,10 +99,13 @@ class Entry:
 class CalibrationStore:
     """One directory of calibration files; it need not exist, and then has no tools."""
 
-    def __init__(self, tools_dir: str | os.PathLike[str], arm: Arm) -> None:
-        """`arm`: the one that the tools are used on; another's files are not read."""
+    def __init__(
+        self, tools_dir: str | os.PathLike[str], arm: Arm, *, other_arms: bool = False
+    ) -> None:
+        """`arm`: the one that the tools are used on; other_arms: as of `parse_calibration`."""
         self.directory = Path(tools_dir).expanduser()
         self.arm = arm
+        self._parse = partial(parse_calibration, arm=arm, other_arms=other_arms)
 
     def read(self, name: str) -> StoredCalibration:
         """Read and check a calibration file, and that it holds the tool of this name.
@@ -109,7 +113,7 @@ class CalibrationStore:
         Raises ToolNameError, or CalibrationFileError that names the file; where there is none, its
         cause is a FileNotFoundError.
         """
-        return _stored(self._checked(name), name, self.arm)
+        return self._stored(self._checked(name), name)
 
     def previous(self, name: str) -> StoredCalibration:
         """Read and check the calibration before a tool's present one, as `read` does."""
@@ -118,7 +122,7 @@ class CalibrationStore:
             raise CalibrationFileError(
                 f"{backup}: no calibration of '{name}' before its present one is kept"
             ) from FileNotFoundError()
-        return _stored(backup, name, self.arm)
+        return self._stored(backup, name)
 
     def has_previous(self, name: str) -> bool:
         """Whether `revert` would bring a calibration back. Raises ToolNameError."""
@@ -165,7 +169,7 @@ class CalibrationStore:
             if backup.exists():
                 if os.path.lexists(new_backup):
                     _set_aside(new_path, (new_backup,))  # left by a tool that is gone
-                write_new(new_backup, _named_backup(backup, new_name, self.arm))
+                write_new(new_backup, self._named_backup(backup, new_name))
                 made.append(new_backup)
             # A calibration may have been written meanwhile.
             unlink_if(old.path, lambda path: replace(old, path=path).as_loaded)
@@ -251,6 +255,22 @@ class CalibrationStore:
 
     # Inside
 
+    def _stored(self, path: Path, name: str) -> StoredCalibration:
+        raw = _read(path)
+        tool = self._parse(path, raw)
+        if tool.tool != name:
+            raise CalibrationFileError(f"{path}: holds the tool '{tool.tool}', not '{name}'")
+        return StoredCalibration(path, tool, _digest(raw), _text(raw))
+
+    def _named_backup(self, backup: Path, name: str) -> bytes | str:
+        """Return the backup with another name inside; one that can't be read stays as it is."""
+        raw = _read(backup)
+        try:
+            self._parse(backup, raw)
+        except CalibrationFileError:
+            return raw
+        return _named(_text(raw), name)
+
     def _files(self) -> list[str]:
         try:
             # A name that is no UTF-8 is told with \\xff for a byte, which no tool's name holds.
@@ -303,14 +323,6 @@ class CalibrationStore:
             raise ToolExistsError(f"{new_path}: is there already; a tool is never overwritten")
 
 
-def _stored(path: Path, name: str, arm: Arm) -> StoredCalibration:
-    raw = _read(path)
-    tool = parse_calibration(path, raw, arm)
-    if tool.tool != name:
-        raise CalibrationFileError(f"{path}: holds the tool '{tool.tool}', not '{name}'")
-    return StoredCalibration(path, tool, _digest(raw), _text(raw))
-
-
 def _named(content: str, name: str) -> str:
     """Return a file's content with another name inside; unknown fields stay."""
     whole = json.loads(content)
@@ -320,16 +332,6 @@ def _named(content: str, name: str) -> str:
 
 def _backup(path: Path) -> Path:
     return path.with_name(path.name + _BACKUP)
-
-
-def _named_backup(backup: Path, name: str, arm: Arm) -> bytes | str:
-    """Return the backup with another name inside; one that can't be read stays as it is."""
-    raw = _read(backup)
-    try:
-        parse_calibration(backup, raw, arm)
-    except CalibrationFileError:
-        return raw
-    return _named(_text(raw), name)
 
 
 def _set_aside(path: Path, files: tuple[Path, ...]) -> int:

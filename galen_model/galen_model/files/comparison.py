@@ -124,6 +124,11 @@ def compare_calibrations(
     name_a, name_b = names or (a.tool, b.tool)
     if why := a.arm.difference(b.arm):
         raise IncomparableError(f"'{name_a}' and '{name_b}' are of two arms: {why}")
+    if not a.arm.urdf and (a.mounting or b.mounting):
+        raise IncomparableError(
+            f"'{name_a}' or '{name_b}' has a mounting, whose effect depends on the arm"
+            f" '{a.arm.name}': give --urdf FILE and --sensor-frame {a.sensor_frame}"
+        )
     differences = [
         *_load_differences("", a.load, b.load),
         *_load_differences("adapter_", a.adapter, b.adapter),
@@ -170,14 +175,27 @@ def _load_differences(prefix: str, a: LoadEstimate, b: LoadEstimate) -> list[Dif
 
 
 def _worst(a: CalibrationFile, b: CalibrationFile) -> list[tuple[float, Array]]:
-    """Over angles within the arm's limits, of weight and offsets: a grid of two, else samples."""
+    """Over angles within the arm's limits, of weight and offsets: a grid of two, else samples.
+
+    Of an arm without geometry over all directions of gravity, and the angles are NaN.
+    """
     lower, upper = angle_limits(a.arm)
+    if not a.arm.urdf:
+        even = np.random.default_rng(0).normal(size=(_SAMPLES, 3))
+        even /= np.linalg.norm(even, axis=1, keepdims=True)
+        angles = np.full((_SAMPLES, len(lower)), np.nan)
+        of_a, of_b = (one.predict_under(even * np.linalg.norm(one.gravity_m_s2)) for one in (a, b))
+        return _largest(of_b - of_a, angles)
     if len(lower) == len(_GRID):
         axes = (np.linspace(*limit) for limit in zip(lower, upper, _GRID, strict=True))
         angles = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     else:
         angles = np.random.default_rng(0).uniform(lower, upper, (_SAMPLES, len(lower)))
-    difference = b.predict(angles) - a.predict(angles)
+    return _largest(b.predict(angles) - a.predict(angles), angles)
+
+
+def _largest(difference: Array, angles: Array) -> list[tuple[float, Array]]:
+    """Return the largest force and torque of differences (..., 6), and the angles (k,) there."""
     worst = []
     for part in (slice(0, 3), slice(3, 6)):
         size = np.linalg.norm(difference[..., part], axis=-1)

@@ -26,9 +26,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from galen_model.arm.galen import TIP_FRAME
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
-from galen_model.load.frames import SensorInFrame, sensor_in_frame
+from galen_model.load.frames import FrameError, SensorInFrame, sensor_in_frame
 from galen_model.load.inertia import INERTIA_NAMES, inertia_matrix, inertia_numbers
 from galen_model.load.model import gravity_wrench
 from galen_model.rotation import matrix_to_rotvec
@@ -78,6 +79,13 @@ def export_load(tool: CalibrationFile, form: str, frame: str = "") -> dict[str, 
     form: one of FORMATS; frame: empty for the sensor's. Raises FrameError and, for a frame that
     joints move against the sensor, FrameNeedsJointsError.
     """
+    known = ("", tool.sensor_frame, TIP_FRAME)
+    if not tool.arm.urdf and (frame not in known or form == "control_toolbox"):
+        what = f"the frame '{frame}'" if frame not in known else "the base frame"
+        raise FrameError(
+            f"{what} is in the description of the arm '{tool.arm.name}': give --urdf FILE and"
+            f" --sensor-frame {tool.sensor_frame}"
+        )
     place = sensor_in_frame(frame or tool.sensor_frame, tool.tip_m, None, arm=tool.arm)
     at_sensor = hung_load(tool)
     load, found = place.load(at_sensor), inertia_about_centre(tool, at_sensor)

@@ -293,7 +293,7 @@ def one_sweep_result(fit: RobustFit, tool: StillPoses, gravity_zero: Array) -> I
     total = along @ (fit.values[1:4] + fit.values[5:8])
     unresolved = (
         "the first moments of tool and adapter along gravity at the zeroing pose "
-        f"(ft_sensor direction {np.round(along, 4).tolist()}): only their sum "
+        f"(direction in the sensor's frame {np.round(along, 4).tolist()}): only their sum "
         f"{total:.6f} kg.m is known, here all of it is given to the tool; as long as the sensor is "
         "zeroed there with the adapter alone the compensation is not affected",
     )

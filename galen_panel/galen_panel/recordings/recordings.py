@@ -36,6 +36,7 @@ _ID_LETTERS = 16
 _HEAD_BYTES = 4096
 _GONE = "That recording is not on the list any more. Look again."
 _NO_TOOL = "That calibration file is not there any more. Choose another one."
+_NEVER_NS = 2**63 - 1  # rosbag2's start of a bag without messages
 _BEGAN = re.compile(rb"starting_time:\s*nanoseconds_since_epoch:\s*(\d{1,19})\b")
 
 
@@ -259,7 +260,7 @@ def _at_s(path: Path) -> float:
     try:
         with (path / _METADATA).open("rb") as stream:
             began = _BEGAN.search(stream.read(_HEAD_BYTES))
-        if began is not None:
+        if began is not None and int(began[1]) < _NEVER_NS:
             return float(int(began[1]) * 1e-9)
     except OSError:
         pass

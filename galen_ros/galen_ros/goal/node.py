@@ -24,7 +24,7 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 
 from galen_ros.arm import ArmParameters, other_arm
-from galen_ros.cdr import JointStateError, JointWire, WrenchWire
+from galen_ros.cdr import JointStateError, JointWire, WrenchWire, joint_positions
 from galen_ros.goal.arm_link import DISCOVERY_S, ArmPublisher, PublisherWatch
 from galen_ros.goal.parameters import MotionParameters
 from galen_ros.goal.procedure import End, GoalProcedure, MoveTo, Stop
@@ -360,6 +360,8 @@ class GoalNode(Node):
         if goal is None:
             return
         try:
+            if not goal.moved:
+                goal.procedure.beside |= joint_positions(data)
             stamp_ns, position, velocity = goal.joints.read_motion(data)
         except JointStateError as error:
             # Another node's joints, such as a gripper's, may come beside the arm's.

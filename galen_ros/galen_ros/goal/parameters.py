@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import ClassVar
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import ClassVar, Self
 
 import numpy as np
 from galen_model.arm.arm import Arm
@@ -73,6 +74,10 @@ class MotionParameters:
     max_stamp_offset_s: ClassVar[float] = 0.2
 
     arm: Arm = field(default=GALEN, repr=False, compare=False)
+
+    def beside(self, joints: Mapping[str, float]) -> Self:
+        """Return the same of an arm beside which other joints stand so, by name, m and rad."""
+        return replace(self, arm=replace(self.arm, beside=dict(joints)))
 
     @property
     def arrival(self) -> ArrivalSettings:

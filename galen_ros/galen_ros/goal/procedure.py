@@ -117,6 +117,8 @@ class GoalProcedure(ABC):
         self._arrival: ArrivalMonitor | None = None
         self._then: Callable[[], None] | None = None
         self._joints: Array | None = None
+        self.beside: dict[str, float] = {}
+        """Joints by name, m and rad, as the driver reports them, others than the arm's as well."""
         self._checked_from: Array | None = None
         self._stamps: dict[str, int] = {}
         self._silences = (_Silence(JOINTS), _Silence(self.wrench_topic))

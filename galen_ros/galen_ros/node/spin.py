@@ -36,6 +36,7 @@ _HELP = """usage: {name} [--ros-args -p NAME:=VALUE ... --params-file FILE -r FR
 {what}
 
 `ros2 param list` and `ros2 param describe` list its parameters while it runs."""
+_LAST_DOMAIN = 232
 _IN_RCL = re.compile(r",? at /\S+")
 
 
@@ -54,6 +55,11 @@ def make_executor(context: Context | None = None) -> Executor:
 
 def init_ros(args: list[str] | None = None, context: Context | None = None) -> None:
     """Do `rclpy.init` without its signal handlers; raises GalenError."""
+    domain = os.environ.get("ROS_DOMAIN_ID", "")
+    if domain.isdecimal() and int(domain) > _LAST_DOMAIN:
+        raise GalenError(
+            f"ROS_DOMAIN_ID is {domain}: at most {_LAST_DOMAIN}, since its UDP ports follow from it"
+        )
     try:
         rclpy.init(args=args, context=context, signal_handler_options=SignalHandlerOptions.NO)
     except UnknownROSArgsError as error:
