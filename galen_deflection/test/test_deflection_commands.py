@@ -241,6 +241,32 @@ def test_without_pytorch_the_network_is_left_out_unless_it_is_asked_for(
     assert code == EXIT_FAILED and "needs PyTorch" in out and "joint_stiffness" in out
 
 
+def test_the_report_s_models_are_trained_scored_and_drawn_as_baselines(folder, tmp_path, capsys):
+    bags, file = folder / "bags", tmp_path / "coupled.json"
+    code, out, _ = call(
+        "train", capsys, bags / "first", "--tool", TOOL_FILE, "--kind", "coupled", "-o", file
+    )
+    assert code == EXIT_OK
+    for words in ("x/fx", "rad/(N.m)", "a baseline (2019 report, section 2.3.5)"):
+        assert words in out
+    code, said = call_json(
+        "evaluate", capsys, bags, "--tool", TOOL_FILE, "--split", "position", "--plots", tmp_path,
+        "--kinds", "independent", "coupled", "joint_stiffness",
+    )  # fmt: skip
+    assert code == EXIT_OK
+    (found,) = said["comparisons"]
+    first, second, springs = (one["rmse_over_noise_all"] for one in found["kinds"].values())
+    assert first > 1.2 * springs and second > 1.2 * springs
+    assert {path.rsplit("_course_", 1)[1] for path in found["plots"]} == {
+        "independent.png", "coupled.png", "joint_stiffness.png",
+    }  # fmt: skip
+    for command in COMMANDS:
+        with pytest.raises(SystemExit):
+            COMMANDS[command].main(["--help"])
+        said = capsys.readouterr().out
+        assert "independent" in said and "coupled" in said
+
+
 # --- all ----------------------------------------------------------------------------------------
 
 LEAST = {

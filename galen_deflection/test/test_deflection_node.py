@@ -7,7 +7,7 @@ import pytest
 from deflection_made_model import made_model
 from deflection_synthetic import TIP_M, recording
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from galen_deflection.models.file import write_model
+from galen_deflection.models.file import KINDS, write_model
 from galen_deflection.node import DeflectionNode
 from galen_gravcomp.node import GravcompNode
 from galen_model.arm.galen import GALEN
@@ -193,6 +193,21 @@ def test_publishes_what_predict_gives_with_stamps_and_the_tip(harness, folder):
     )
     assert values["model"] == "joint_hysteresis" and values["model_file"].endswith("good.json")
     assert float(values["extrapolated_percent"]) > 0.0 and float(values["deflection_hz"]) >= 0.0
+
+
+@pytest.mark.parametrize("kind", ["independent", "coupled"])
+def test_the_report_s_models_are_published_as_predicted_offline(harness, tmp_path, kind):
+    model = KINDS[kind].fit(recording(rate_hz=10.0), None)
+    write_model(tmp_path / "model.json", model)
+    bench = Bench(harness, tmp_path / "model.json")
+    wrenches = np.random.default_rng(3).normal(size=(20, 6)) * [2.0, 2.0, 2.0, 0.2, 0.2, 0.2]
+    joints = np.where(np.arange(20)[:, None] < 15, GALEN.home, HOME)  # not fitted there
+    for wrench, at in zip(wrenches, joints, strict=True):
+        bench.step(wrench, at)
+    got, expected = bench.outputs(20), offline(model, wrenches, joints)
+    for column, theirs in zip((2, 3), expected[:2], strict=True):
+        np.testing.assert_allclose([g[column] for g in got], theirs, rtol=1e-9, atol=1e-15)
+    assert [g[4] for g in got] == [False] * 15 + [True] * 5
 
 
 def test_joints_that_lack_one_are_rejected(harness, folder):

@@ -41,6 +41,13 @@ from galen_model.files.json_fields import (
 )
 
 from galen_deflection.measurement.samples import DeflectionError, DeflectionSamples
+from galen_deflection.models.axes import (
+    COUPLED,
+    INDEPENDENT,
+    fit_coupled,
+    fit_independent,
+    read_axes,
+)
 from galen_deflection.models.interface import FitSettings
 from galen_deflection.models.network import LSTM, NetworkModel
 from galen_deflection.models.network_training import fit_network
@@ -75,6 +82,16 @@ KINDS: dict[str, ModelKind] = {
         "the 2019 report's network: LSTM of 18 units, fully connected to the axes",
         fit_network,
         NetworkModel.from_json,
+    ),
+    INDEPENDENT: ModelKind(
+        "baseline, the report's first model: each axis by the wrench's same axis",
+        fit_independent,
+        read_axes,
+    ),
+    COUPLED: ModelKind(
+        "baseline, the report's second: each axis by all axes of the wrench",
+        fit_coupled,
+        read_axes,
     ),
 }
 """Kinds in the order in which they are listed."""

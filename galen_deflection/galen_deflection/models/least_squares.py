@@ -1,4 +1,4 @@
-"""Weighted non-negative least squares for the springs, out of sums over blocks of time.
+"""Weighted least squares for compliances, out of sums over blocks of time.
 
 With W = 1 / noise^2, a block's N = sum D^T W D, b = sum D^T W y and y^T W y are all that a fit
 needs of it: fits that leave some blocks out, and their residuals there, cost no further look at
@@ -150,7 +150,10 @@ def folds(samples: DeflectionSamples, parts: Sequence[slice]) -> np.ndarray:
 
 
 def solve(information: Array, right: Array, parameters: Sequence[Parameter]) -> Solution:
-    """Solve from N and b, none below zero; what is not identifiable stays near its prior."""
+    """Solve from N and b; what is not identifiable stays near its prior.
+
+    None is below zero, but for signed parameters.
+    """
     missing = _not_identifiable(information, parameters)
     information, right = information.copy(), right.copy()
     for k in missing:
@@ -167,7 +170,8 @@ def solve(information: Array, right: Array, parameters: Sequence[Parameter]) -> 
     kept = eigenvalue > 1e-12 * eigenvalue[-1]
     root = np.sqrt(eigenvalue[kept])
     rows, wanted = root[:, None] * vectors[:, kept].T, vectors[:, kept].T @ (right / scale) / root
-    values[used] = nnls(rows[:, used], wanted)[0]
+    solver = np.linalg.lstsq if parameters[0].signed else nnls
+    values[used] = solver(rows[:, used], wanted)[0]
     values /= scale
     free = used & ((values > 0.0) | [p.prior_std is not None for p in parameters])
     names = tuple(parameters[k].name for k in missing)
@@ -190,11 +194,17 @@ def _not_identifiable(information: Array, parameters: Sequence[Parameter]) -> li
 
 
 def finished(
-    name: str, basis: SpringBasis, samples: DeflectionSamples, totals: Sums
+    name: str,
+    basis: SpringBasis,
+    samples: DeflectionSamples,
+    totals: Sums,
+    *,
+    only_nearby: bool = False,
 ) -> SpringModel:
     """Return the model of a basis, by its sums over the samples.
 
-    Raises DeflectionError for samples without load, and for a spring that would push back.
+    only_nearby: it holds near the positions of the samples, and not between them. Raises
+    DeflectionError for samples without load, and for a spring that would push back.
     """
     parameters = basis.parameters
     solution = solve(*totals.total(), parameters)
@@ -214,7 +224,7 @@ def finished(
         discrepancy=_discrepancy(basis, samples, totals),
         noise=samples.noise,
         fitted_range=FittedRange.of(
-            used.joints, totals.wrench_at_tip[totals.used], only_nearby=False, arm=basis.arm
+            used.joints, totals.wrench_at_tip[totals.used], only_nearby, basis.arm
         ),
         fitted_on=fitted_on(used),
         unresolved=solution.unresolved,
@@ -264,7 +274,8 @@ def _reject_negative(totals: Sums, solution: Solution, parameters: Sequence[Para
     information, right = totals.total()
     for k, parameter in enumerate(parameters):
         seen = information[k, k] > 0.0
-        if parameter.prior_std is None or solution.values[k] > 0.0 or not seen:
+        spring = parameter.prior_std is not None and not parameter.signed
+        if not spring or solution.values[k] > 0.0 or not seen:
             continue
         free = solution.values > 0.0
         free[k] = True

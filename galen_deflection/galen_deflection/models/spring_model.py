@@ -63,13 +63,15 @@ class Parameter(NamedTuple):
     """A parameter's name, its unit, and what is known of it without any sample.
 
     Where the samples don't determine it, it is `prior` give or take `prior_std`; None: nothing is
-    known, and whether it is wanted at all is the fit's to choose.
+    known, and whether it is wanted at all is the fit's to choose. signed: it may be below zero;
+    all parameters of a basis may, or none.
     """
 
     name: str
     unit: str
     prior: float = 0.0
     prior_std: float | None = None
+    signed: bool = False
 
 
 class Operator(NamedTuple):
@@ -136,7 +138,7 @@ class SpringBasis:
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The p parameters; none may be below zero."""
+        """The p parameters: the compliances, then the operators' weights."""
         units = {kind.name: (kind.compliance_unit, kind.load_unit) for kind in self.kinds}
         found = list(self.compliances)
         for place, shape, thresholds in self.operators:
@@ -144,6 +146,22 @@ class SpringBasis:
             size = f"{thresholds[0]:.4g} {load_unit}"
             found.append(Parameter(f"{shape.replace('_', ' ')} of {place} at {size}", unit))
         return tuple(found)
+
+    @cached_property
+    def _of_kind(self) -> Array:
+        """(s, c): 1 where a spring has a compliance."""
+        of_kind = np.zeros((self.kinds[-1].springs.stop, len(self.kinds)))
+        for column, kind in enumerate(self.kinds):
+            of_kind[kind.springs, column] = 1.0
+        return of_kind
+
+    def elastic(self, at_tip: Array, jacobian: Array, loads: Array) -> Array:
+        """Return designs (n, 6, c) of the compliances.
+
+        at_tip (n, 6): wrenches at the tip, base_link; jacobian (n, 6, s), loads (n, s): the
+        springs'.
+        """
+        return np.asarray((jacobian * loads[:, None, :]) @ self._of_kind)
 
     def part(self, operators: Sequence[int], shape: Shape) -> SpringBasis:
         """Return it with some of the operators, all of one shape."""
@@ -156,9 +174,7 @@ class SpringRun:
 
     def __init__(self, basis: SpringBasis) -> None:
         self.springs = Springs(basis.tip_m, basis.arm)
-        self._of_kind = np.zeros((basis.kinds[-1].springs.stop, len(basis.kinds)))
-        for column, of_kind in enumerate(basis.kinds):
-            self._of_kind[of_kind.springs, column] = 1.0
+        self._elastic = basis.elastic
         single = [
             (column, k, threshold)
             for k, operator in enumerate(basis.operators)
@@ -195,7 +211,7 @@ class SpringRun:
         to_tip, jacobian, lever, _ = self.springs.geometry(joints)
         at_tip = np.matmul(to_tip, wrench[:, :, None])[:, :, 0]
         loads = np.matmul(at_tip[:, None, :], jacobian)[:, 0]
-        elastic = (jacobian * loads[:, None, :]) @ self._of_kind
+        elastic = self._elastic(at_tip, jacobian, loads)
         if self._of_platform:
             motion = elastic[:, :, self._under_platform] @ self._platform_reference
             motion[:, :3] += np.cross(lever, motion[:, 3:])  # of its centre, no longer of the tip
@@ -243,7 +259,7 @@ class SpringRun:
 
 @dataclass(frozen=True)
 class SpringModel:
-    """A fitted model: `name` is its kind, STIFFNESS or HYSTERESIS.
+    """A fitted model; `name` is its kind.
 
     values (p,), covariance (p, p): of the basis' parameters, in its units. discrepancy (6, 6),
     noise (6,): m and rad, base_link; noise is that of one measured deflection. unresolved: names of
@@ -330,10 +346,12 @@ class SpringModel:
         }
 
     @classmethod
-    def from_json(cls, content: Mapping[str, Any], arm: Arm) -> SpringModel:
-        """Read a file's content; raises FieldError that names what is wrong."""
+    def from_json(
+        cls, content: Mapping[str, Any], arm: Arm, basis: SpringBasis | None = None
+    ) -> SpringModel:
+        """Read a file's content, by default of springs; raises FieldError that names the fault."""
         name = text(get(content, "kind"), "kind")
-        basis = SpringBasis(tip_from_json(content), arm=arm)
+        basis = basis or SpringBasis(tip_from_json(content), arm=arm)
         if name == HYSTERESIS:
             basis = _with_operators(basis, content)
         size = len(basis.parameters)
@@ -422,6 +440,6 @@ def _values_from_json(content: Mapping[str, Any], parameters: Sequence[Parameter
             if found != expected:
                 raise FieldError(f'{name}.{what} is "{found}"; expected "{expected}"')
         values[k] = number(get(row, "value"), f"{name}.value")
-        if values[k] < 0.0:
+        if values[k] < 0.0 and not parameter.signed:
             raise FieldError(f"{name}.value is {values[k]}, below zero")
     return values

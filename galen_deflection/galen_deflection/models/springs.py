@@ -38,7 +38,7 @@ Vector = tuple[float, float, float]
 Columns = tuple[Vector, Vector, Vector]
 
 
-_USUAL_COMPLIANCE = {"rad": 5e-4, "m": 3e-6}
+USUAL_COMPLIANCE = {"rad": 5e-4, "m": 3e-6}
 """1/k, rad/(N.m) and m/N, of a drive of which nothing is known: softer than most are (2000 N.m/rad
 and 3e5 N/m, as estimated of the Galen; harmonic drives of industrial arms have 1e4 and more)."""
 
@@ -76,7 +76,7 @@ def kinds(arm: Arm) -> tuple[Kind, ...]:
         units = ("N.m", "rad/(N.m)") if unit == "rad" else ("N", "m/N")
         compliance = 1.0 / arm.stiffness.get(name, np.inf)
         # A nominal stiffness is an estimate: the true one may well be twice as stiff, or half.
-        std = compliance or _USUAL_COMPLIANCE[unit]
+        std = compliance or USUAL_COMPLIANCE[unit]
         found.append(Kind(name, range(first, first + size), compliance, std, *units))
         first += size
     return tuple(found)

@@ -48,7 +48,7 @@ def plot_models(
                 samples.rows(rows),
                 predicted.rows(rows),
                 folder / f"{name}_course_{model}.png",
-                f"{name}; {model}, position {position}: where the models are worst",
+                f"{name}: {model} at position {position}, where the models are worst",
             )
         )
     return written
@@ -89,7 +89,8 @@ def _draw_course(
     panel.plot(drawn_time, mean, color=_PREDICTED, lw=1.1, label="predicted")
     width = _SIGMAS * 1e3 * np.sqrt(predicted.covariance[:, axis, axis])
     width = np.insert(width, breaks, np.nan)
-    panel.fill_between(drawn_time, mean - width, mean + width, color=_PREDICTED, alpha=0.18, lw=0)
+    panel.fill_between(drawn_time, mean - width, mean + width, color=_PREDICTED, alpha=0.18, lw=0,
+                       label="± 2 standard deviations of the prediction")  # fmt: skip
     panel.set_ylabel(f"{AXES[axis]}, {_UNITS[axis]}")
 
 
