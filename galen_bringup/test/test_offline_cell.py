@@ -21,7 +21,7 @@ POSES = PARAMETERS.grid_poses(3, 3)
 
 
 def cell(*listeners, **config):
-    config = PlantConfig(rate_hz=100.0, **config)
+    config = PlantConfig(arm=GALEN, rate_hz=100.0, **config)
     return OfflineCell(Plant(config, np.random.default_rng(1)), listeners)
 
 

@@ -187,7 +187,7 @@ MOUNTED = replace(
 
 def imu_readings(motion):
     """What an IMU mounted so reads: angular velocity, specific force, (n, 3) each."""
-    w, al, a = sensor_motion(*motion)
+    w, al, a = sensor_motion(*motion, arm=GALEN)
     there = a + np.cross(al, MOUNT.lever_m) + np.cross(w, np.cross(w, MOUNT.lever_m))
     felt = there - GALEN.gravity_in_sensor(motion[0][:, 3:])
     back = rotvec_to_matrix(MOUNT.rotvec_rad)

@@ -360,7 +360,7 @@ def test_orientations_tell_rotation_and_inclination():
     level = turns.inv().apply(GRAVITY)
     true = mounted.turned_gravity(level, turns.as_matrix())
     np.testing.assert_allclose(
-        true, turns.inv().apply(mounted.gravity_direction() * 9.80665), atol=1e-12
+        true, turns.inv().apply(mounted.gravity_direction(GALEN) * 9.80665), atol=1e-12
     )
     force = RETRACTOR.mass_kg * true
     weight = np.concatenate([force, np.cross(RETRACTOR.com_m, force)], axis=1)

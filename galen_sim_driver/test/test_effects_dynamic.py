@@ -33,6 +33,7 @@ def scene(at_s, joints, applied=None, joint_s=None, bag="push", **changes):
         tracker_s=at_s,
         tool=POINTER,
         adapter=ADAPTER,
+        arm=GALEN,
         **changes,
     )
     reading = Replay(given).reading()
