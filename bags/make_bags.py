@@ -21,10 +21,11 @@ from typing import Any
 
 import numpy as np
 from galen_bags.formats.bag import content_sha256, open_bag
+from galen_bags.formats.errors import BagError
 from galen_bags.formats.writer import BagWriter
 from galen_calibration_behavior.calibration.estimate import estimate
 from galen_calibration_behavior.calibration.procedure import CalibrationRequest
-from galen_calibration_behavior.parameters import CalibrationParameters
+from galen_calibration_behavior.common.parameters import CalibrationParameters
 from galen_model.arm.galen import GALEN
 from galen_model.errors import CalibrationFileError, GalenError
 from galen_model.files.calibration_file import read_calibration
@@ -42,8 +43,6 @@ from galen_sim_driver.plant.config import (
 from galen_sim_driver.plant.motion import Trajectory, TrajectoryPoint
 from offline_cell import CellBag, OfflineCell
 from tqdm import tqdm
-
-from galen_bags import BagError
 
 HERE = Path(__file__).resolve().parent
 BEGIN, END = "<!-- made by make_bags.py -->", "<!-- end -->"

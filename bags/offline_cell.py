@@ -13,7 +13,7 @@ from galen_calibration_behavior.calibration.procedure import (
     CalibrationProcedure,
     CalibrationRequest,
 )
-from galen_calibration_behavior.commands import (
+from galen_calibration_behavior.common.commands import (
     AttachTool,
     Command,
     Measurements,
@@ -21,7 +21,7 @@ from galen_calibration_behavior.commands import (
     PosesEnd,
     ZeroSensor,
 )
-from galen_calibration_behavior.parameters import CalibrationParameters
+from galen_calibration_behavior.common.parameters import CalibrationParameters
 from galen_model.arm.galen import GALEN, SENSOR_FRAME, TRACKER_FRAME
 from galen_model.errors import GalenError
 from galen_ros.cdr import joint_state_bytes, pose_bytes, wrench_bytes

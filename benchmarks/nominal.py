@@ -11,12 +11,11 @@ from galen_deflection.models.spring_model import Operator, SpringBasis, SpringMo
 from galen_model.arm.galen import GALEN, SENSOR
 from galen_model.files.calibration_file import (
     CalibrationFile,
-    LoadEstimate,
     calibration_path,
     write_calibration,
     zeroed_at,
 )
-from galen_model.load.model import ADAPTER, TOOLS, Load
+from galen_model.load.model import ADAPTER, TOOLS, Load, LoadEstimate
 
 NAME = "retractor"
 _SHARES = (0.2, 0.8)

@@ -27,11 +27,11 @@ from galen_deflection.models.spring_model import SpringBasis, SpringModel
 from galen_model.arm.galen import GALEN
 from galen_model.files.calibration_file import (
     CalibrationFile,
-    LoadEstimate,
     calibration_path,
     write_calibration,
     zeroed_at,
 )
+from galen_model.load.model import LoadEstimate
 from galen_ros.messages import STREAM, stamp_to_ns, wrench_to_array
 from galen_ros.node.testing import Harness
 from geometry_msgs.msg import WrenchStamped

@@ -12,14 +12,13 @@ import numpy as np
 import pytest
 from bad_bytes import cut_up, json_with_a_wrong_part, table_text, yaml_with_a_wrong_part
 from fuzz.readers import READERS, check
+from galen_bags.formats.errors import BagError
 from galen_bags.formats.raw_block import pack
 from galen_bags.formats.writer import BagWriter
 from galen_model.errors import GalenError
 from galen_ros.cdr import WrenchWire
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-
-from galen_bags import BagError
 
 JSON_READERS = ("tool_file", "model_json", "answer")
 LEFT = {reader.file_name for reader in READERS.values()} | {"bag_0.mcap"}

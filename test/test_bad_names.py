@@ -23,6 +23,7 @@ import pytest
 from bad_bytes import TEXTS
 from fuzz.readers import READERS, a_tool, check, signed
 from galen_bags.formats.bag import open_bag
+from galen_bags.formats.errors import BagError
 from galen_deflection.collection.recorder import CollectionFolder
 from galen_gravcomp.tool_services import error_code
 from galen_model.arm.galen import GALEN
@@ -32,7 +33,6 @@ from galen_model.files.calibration_store import CalibrationStore
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from galen_bags import BagError
 from galen_msgs.srv import GetTool, RemoveTool, RenameTool, RevertTool, SetTool
 
 ALLOWED = set("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_-")

@@ -24,8 +24,8 @@ from galen_bringup.processes import (
     ros_world,
 )
 from galen_calibration_behavior.calibration.estimate import estimate
-from galen_calibration_behavior.commands import Measurements
-from galen_calibration_behavior.parameters import CalibrationParameters
+from galen_calibration_behavior.common.commands import Measurements
+from galen_calibration_behavior.common.parameters import CalibrationParameters
 from galen_model.arm.galen import SENSOR
 from galen_model.arrays import Array
 from galen_model.errors import GalenError

@@ -24,10 +24,10 @@ from galen_bags.formats.writer import BagWriter
 from galen_model.arm.arm import STANDARD_GRAVITY_M_S2
 from galen_model.arm.galen import SENSOR, WRENCH_AXES
 from galen_model.arrays import Array
+from galen_model.calibrated.inertia_identification import CUTOFF_HZ, MotionRecord, identify_inertia
 from galen_model.errors import GalenError
 from galen_model.load.identification import identify_single_load
 from galen_model.load.inertia import inertial_regressor
-from galen_model.load.inertia_identification import CUTOFF_HZ, MotionRecord, identify_inertia
 from galen_model.load.model import Load
 from galen_ros.cdr import NS_PER_S, joint_state_bytes, wrench_bytes
 from scipy.interpolate import BPoly, CubicSpline, PPoly

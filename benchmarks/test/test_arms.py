@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from galen_calibration_behavior.parameters import CalibrationParameters
+from galen_calibration_behavior.common.parameters import CalibrationParameters
 from galen_model.arm.galen import SENSOR
 from galen_model.arm.sensor_motion import sensor_motion
 from galen_model.errors import GalenError

@@ -25,7 +25,7 @@ from typing import Any
 
 from galen_model.errors import GalenError
 from galen_model.files.atomic_file import write_new
-from galen_model.files.json_fields import FieldError, parse_json
+from galen_model.json_fields import FieldError, parse_json
 
 from galen_bags.formats.files import METADATA, find_bags, is_rosbag2, is_storage
 from galen_bags.many import ArchivedRecording, Place, run_each

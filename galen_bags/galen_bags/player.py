@@ -20,8 +20,8 @@ from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock as ClockMessage
 from std_srvs.srv import SetBool
 
-from galen_bags import BagError
 from galen_bags.formats.bag import Bag
+from galen_bags.formats.errors import BagError
 from galen_bags.formats.files import read_metadata
 from galen_bags.formats.raw_block import Messages
 from galen_bags.timing import BagClock, Playlist, window

@@ -23,7 +23,7 @@ from galen_ros.command import (
 from galen_ros.node.spin import run_until
 from rclpy.executors import SingleThreadedExecutor
 
-from galen_bags import BagError
+from galen_bags.formats.errors import BagError
 from galen_bags.formats.writer import GrowingBagWriter
 from galen_bags.recorder import DEFAULT_TOPICS, RecorderNode, TopicCounts
 from galen_bags.topics import check_topic_name

@@ -16,7 +16,7 @@ from rclpy.node import Node
 from rclpy.subscription import Subscription
 from rclpy.topic_or_service_is_hidden import topic_or_service_is_hidden
 
-from galen_bags import BagError
+from galen_bags.formats.errors import BagError
 from galen_bags.formats.writer import GrowingBagWriter
 from galen_bags.topics import (
     check_topic_name,

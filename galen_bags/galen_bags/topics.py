@@ -29,7 +29,7 @@ from rosbags.interfaces import (
     QosTime,
 )
 
-from galen_bags import BagError
+from galen_bags.formats.errors import BagError
 
 _TYPE = re.compile(r"^\s*(?P<type>[A-Za-z][\w/]*)(\[[<=\d]*\])?\s+[A-Za-z]", re.MULTILINE)
 _BUILT_IN = re.compile(r"bool|byte|char|float(32|64)|u?int(8|16|32|64)|w?string(<=\d+)?")

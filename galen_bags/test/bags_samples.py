@@ -11,12 +11,11 @@ from zlib import crc32
 import lz4.frame
 import numpy as np
 from galen_bags.formats.bag import open_bag
+from galen_bags.formats.errors import BagError
 from galen_bags.formats.mcap_records import zstd
 from galen_model.arm.galen import GALEN
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
-
-from galen_bags import BagError
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 JOINT_STATE = "sensor_msgs/msg/JointState"

@@ -25,9 +25,8 @@ from bags_samples import (
 )
 from galen_bags.arrays.arm_recording import ArmReader, ArmTopics, find_topic, read_arm
 from galen_bags.formats.bag import open_bag
+from galen_bags.formats.errors import BagError
 from galen_model.arm.galen import GALEN
-
-from galen_bags import BagError
 
 
 @pytest.fixture

@@ -5,10 +5,9 @@ import struct
 
 import pytest
 from galen_bags.formats.bag import content_sha256
+from galen_bags.formats.errors import BagError
 from galen_bags.formats.writer import BagWriter
 from galen_ros.cdr import wrench_bytes
-
-from galen_bags import BagError
 
 WRENCH = "geometry_msgs/msg/WrenchStamped"
 

@@ -1,9 +1,8 @@
 import os
 
 import pytest
+from galen_bags.formats.errors import BagError
 from galen_bags.formats.files import find_bags
-
-from galen_bags import BagError
 
 METADATA = "rosbag2_bagfile_information:\n  version: 9\n"
 

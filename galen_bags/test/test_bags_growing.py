@@ -6,11 +6,10 @@ from typing import Any
 
 import pytest
 from galen_bags.formats.bag import open_bag
+from galen_bags.formats.errors import BagError
 from galen_bags.formats.writer import GrowingBagWriter
 from galen_ros.cdr import wrench_bytes
 from rosbags.rosbag2 import Reader
-
-from galen_bags import BagError
 
 WRENCH = "geometry_msgs/msg/WrenchStamped"
 

@@ -14,11 +14,10 @@ from pathlib import Path
 
 import psutil
 import pytest
+from galen_bags.formats.errors import BagError
 from galen_bags.many import run_many
 from galen_model.errors import GalenError
 from galen_ros.command import add_workers
-
-from galen_bags import BagError
 
 WAIT_S = 30.0
 NOTHING_SAID = 0.3  # s without an answer are enough to see that there is none

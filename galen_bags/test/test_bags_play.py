@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 from galen_bags.formats.bag import Bag, open_bag
+from galen_bags.formats.errors import BagError
 from galen_bags.formats.writer import BagWriter, GrowingBagWriter
 from galen_bags.play import main
 from galen_bags.player import PlayerNode, PlayOptions
@@ -28,7 +29,6 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
-from galen_bags import BagError
 from galen_msgs.msg import DeflectionStamped
 
 S = 1_000_000_000

@@ -25,10 +25,9 @@ from bags_samples import (
 )
 from galen_bags.formats import raw_block
 from galen_bags.formats.bag import open_bag, storage_files
+from galen_bags.formats.errors import BagError
 from galen_bags.formats.mcap_records import zstd
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
-
-from galen_bags import BagError
 
 SQLITE, MCAP = StoragePlugin.SQLITE3, StoragePlugin.MCAP
 

@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from galen_bags.formats.bag import open_bag, robot_description
+from galen_bags.formats.errors import BagError
 from galen_bags.formats.writer import GrowingBagWriter
 from galen_bags.record import RecordRun, parse
 from galen_bags.recorder import RecorderNode, SimulatedTimes
@@ -32,7 +33,6 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from galen_bags import BagError
 from galen_bags import record as record_command
 from galen_msgs.msg import DeflectionStamped
 

@@ -4,10 +4,9 @@ import time
 from collections.abc import Callable, Iterator
 
 import pytest
+from galen_bags.formats.errors import BagError
 from galen_bags.formats.raw_block import Messages, pack
 from galen_bags.timing import BagClock, Playlist, window
-
-from galen_bags import BagError
 
 S = 1_000_000_000
 MS = 1_000_000

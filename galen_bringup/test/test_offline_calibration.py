@@ -8,9 +8,9 @@ from galen_bags.arrays.arm_recording import read_arm
 from galen_bags.formats.writer import BagWriter
 from galen_calibration_behavior.calibration.estimate import estimate
 from galen_calibration_behavior.calibration.procedure import CalibrationRequest
+from galen_calibration_behavior.common.parameters import CalibrationParameters
 from galen_calibration_behavior.from_bag.sweeps import SweepSorter
 from galen_calibration_behavior.from_bag.visits import find_visits
-from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_model.arm.galen import GALEN
 from galen_sim_driver.plant.cell import Plant
 from galen_sim_driver.plant.config import HandPush, PlantConfig

@@ -7,8 +7,8 @@ import pytest
 from galen_bags.formats.bag import open_bag
 from galen_bags.formats.writer import BagWriter
 from galen_calibration_behavior.calibration.procedure import CalibrationRequest
-from galen_calibration_behavior.commands import CalibrationState
-from galen_calibration_behavior.parameters import CalibrationParameters
+from galen_calibration_behavior.common.commands import CalibrationState
+from galen_calibration_behavior.common.parameters import CalibrationParameters
 from galen_model.arm.galen import GALEN
 from galen_model.load.identification import identify_two_sweeps
 from galen_model.load.model import ADAPTER, TOOLS, Load, nominal_reading

@@ -23,7 +23,7 @@ from galen_ros.goal.client import (
 from std_srvs.srv import Trigger
 
 from galen_calibration_behavior.calibration.estimate import format_result
-from galen_calibration_behavior.commands import (
+from galen_calibration_behavior.common.commands import (
     CALIBRATION_PHASES,
     WARNING,
     CalibrationCode,

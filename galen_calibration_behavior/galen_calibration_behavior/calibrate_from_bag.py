@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from galen_bags.arrays.arm_recording import arm_of_bag, topics_of
 from galen_bags.formats.bag import open_bag
+from galen_bags.formats.errors import BagError
 from galen_bags.formats.files import is_bag
 from galen_model.arm.arm import Arm
 from galen_model.arm.clearance import ObstacleError
@@ -20,9 +21,9 @@ from galen_model.arrays import Array
 from galen_model.errors import GalenError, IdentificationError, ToolNameError
 from galen_model.files.calibration_file import check_tool_name
 from galen_model.load.drifting_bias import BiasShape, Shape
-from galen_model.load.mounting.mounting import GROUPS, entities
+from galen_model.load.mounting import GROUPS, entities
+from galen_model.load.pose_order import drift_price
 from galen_model.poses.design import compensation_std, reading_noise
-from galen_model.poses.order import drift_price
 from galen_model.poses.plan import order_poses, plan_as_is
 from galen_ros.arm import add_arm, arm_parameters, chosen_arm, names_of_joints
 from galen_ros.command import (
@@ -37,10 +38,9 @@ from galen_ros.command import (
 )
 from galen_ros.parameters import ParameterError, checked, param_fields
 
-from galen_bags import BagError
+from galen_calibration_behavior.common.parameters import CalibrationParameters
 from galen_calibration_behavior.from_bag.loads import estimate_loads
 from galen_calibration_behavior.from_bag.parts import add_part, remove_cable
-from galen_calibration_behavior.parameters import CalibrationParameters
 
 _RATE_HZ = 500.0  # the contract's, of wrench_raw
 

@@ -20,7 +20,7 @@ from galen_ros.goal.client import (
     run_client,
 )
 
-from galen_calibration_behavior.commands import CheckCode
+from galen_calibration_behavior.common.commands import CheckCode
 from galen_msgs.action import CheckTool
 
 EXIT_RETARE, EXIT_RECALIBRATE, EXIT_UNSURE = 3, 4, 5

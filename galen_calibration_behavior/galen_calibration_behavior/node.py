@@ -11,7 +11,7 @@ from galen_ros.goal.node import GoalNode
 from galen_ros.node.spin import run
 
 from galen_calibration_behavior.calibration.action import CalibrateAction
-from galen_calibration_behavior.parameters import CalibrationParameters
+from galen_calibration_behavior.common.parameters import CalibrationParameters
 from galen_calibration_behavior.quick_check.action import CheckAction
 
 

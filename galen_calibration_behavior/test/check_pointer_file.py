@@ -3,7 +3,8 @@
 import numpy as np
 from calibration_fake_arm import ADAPTER, POINTER
 from galen_model.arm.galen import GALEN
-from galen_model.files.calibration_file import CalibrationFile, LoadEstimate, zeroed_at
+from galen_model.files.calibration_file import CalibrationFile, zeroed_at
+from galen_model.load.model import LoadEstimate
 
 _STD = np.diag(np.full(4, 3e-5) ** 2)
 POINTER_FILE = CalibrationFile(

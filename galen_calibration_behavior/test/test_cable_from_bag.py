@@ -11,12 +11,11 @@ from galen_calibration_behavior.from_bag import parts
 from galen_model.arm.galen import GALEN
 from galen_model.files.calibration_file import (
     CalibrationFile,
-    LoadEstimate,
     read_calibration,
     write_calibration,
     zeroed_at,
 )
-from galen_model.load.model import ADAPTER, TOOLS, Load, gravity_wrench
+from galen_model.load.model import ADAPTER, TOOLS, Load, LoadEstimate, gravity_wrench
 
 AT = np.array([0.08, 0.0, 0.06])
 ANCHOR = np.array([0.35, 0.35, 0.9])

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from calibration_fake_arm import ADAPTER, NO_TOOL, POINTER, FakeArm
 from check_pointer_file import POINTER_FILE
-from galen_calibration_behavior.commands import CalibrationCode, CheckCode, PoseFeedback
-from galen_calibration_behavior.parameters import CalibrationParameters
+from galen_calibration_behavior.common.commands import CalibrationCode, CheckCode, PoseFeedback
+from galen_calibration_behavior.common.parameters import CalibrationParameters
 from galen_model.arm.description import read_arm
 from galen_model.errors import GalenError, NotExcitedError
 from galen_model.evidence.verdict import CheckAnswer

@@ -12,8 +12,8 @@ from galen_bags.arrays.arm_recording import read_arm as read_recording
 from galen_bags.formats.bag import open_bag
 from galen_bags.formats.writer import BagWriter
 from galen_calibration_behavior.calibrate_from_bag import main
+from galen_calibration_behavior.common.parameters import CalibrationParameters
 from galen_calibration_behavior.from_bag.visits import find_visits
-from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_model.arm.description import read_arm
 from galen_model.arm.galen import SENSOR
 from galen_model.errors import GalenError

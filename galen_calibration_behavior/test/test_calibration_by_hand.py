@@ -13,7 +13,7 @@ from galen_calibration_behavior.calibration.by_hand import (
 )
 from galen_calibration_behavior.calibration.estimate import estimate
 from galen_calibration_behavior.calibration.procedure import CalibrationRequest
-from galen_calibration_behavior.commands import (
+from galen_calibration_behavior.common.commands import (
     AttachTool,
     CalibrationCode,
     CalibrationState,
@@ -22,7 +22,7 @@ from galen_calibration_behavior.commands import (
     PosesEnd,
     ZeroSensor,
 )
-from galen_calibration_behavior.parameters import CalibrationParameters
+from galen_calibration_behavior.common.parameters import CalibrationParameters
 from galen_model.arm.description import read_arm
 from galen_model.arm.galen import SENSOR
 from galen_model.load.identification import single_load_design

@@ -16,14 +16,14 @@ from galen_calibration_behavior.calibration.estimate import (
     format_result,
     mounting_fields,
 )
-from galen_calibration_behavior.commands import CalibrationCode, Measurements
+from galen_calibration_behavior.common.commands import CalibrationCode, Measurements
 from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import read_calibration, write_calibration
 from galen_model.load.identification import StillPoses, identify_two_sweeps
 from galen_model.load.inertia import InertiaEstimate
 from galen_model.load.model import nominal_reading
-from galen_model.load.mounting.identification import Calibrated
+from galen_model.load.mounting_identification import Calibrated
 from scipy.spatial.transform import Rotation
 
 NAN = np.full(3, math.nan)

@@ -10,13 +10,12 @@ from galen_model.arm.galen import ENCODER_QUANTUM, GALEN, SENSOR
 from galen_model.arm.sensor_motion import sensor_motion
 from galen_model.files.calibration_file import (
     CalibrationFile,
-    LoadEstimate,
     read_calibration,
     write_calibration,
     zeroed_at,
 )
 from galen_model.load.inertia import inertial_wrench, point_mass_inertia
-from galen_model.load.model import ADAPTER, TOOLS
+from galen_model.load.model import ADAPTER, TOOLS, LoadEstimate
 from galen_ros.cdr import joint_state_bytes, wrench_bytes
 from galen_ros.command import EXIT_FAILED, EXIT_USAGE
 

@@ -11,8 +11,8 @@ from galen_calibration_behavior.calibration.estimate import (
     format_mounting,
     mounting_fields,
 )
-from galen_calibration_behavior.commands import CalibrationCode, Measurements
-from galen_calibration_behavior.parameters import CalibrationParameters
+from galen_calibration_behavior.common.commands import CalibrationCode, Measurements
+from galen_calibration_behavior.common.parameters import CalibrationParameters
 from galen_model.arm.galen import GALEN
 from galen_model.errors import IdentificationError
 from galen_model.files.calibration_file import read_calibration

@@ -11,9 +11,9 @@ from builtin_interfaces.msg import Duration
 from calibration_fake_arm import NO_TOOL, POINTER, FakeArm
 from diagnostic_msgs.msg import DiagnosticArray
 from galen_calibration_behavior.calibration.estimate import EstimateError, estimate
-from galen_calibration_behavior.commands import CalibrationCode as ErrorCode
-from galen_calibration_behavior.commands import CalibrationState as State
-from galen_calibration_behavior.commands import CheckCode, CheckState
+from galen_calibration_behavior.common.commands import CalibrationCode as ErrorCode
+from galen_calibration_behavior.common.commands import CalibrationState as State
+from galen_calibration_behavior.common.commands import CheckCode, CheckState
 from galen_calibration_behavior.node import CalibrationNode
 from galen_model.arm.galen import GALEN
 from galen_model.files.calibration_file import read_calibration

@@ -9,16 +9,16 @@ from galen_calibration_behavior.calibration.procedure import (
     CalibrationProcedure,
     CalibrationRequest,
 )
-from galen_calibration_behavior.commands import (
+from galen_calibration_behavior.common.commands import (
     AttachTool,
     Measurements,
     PoseFeedback,
     PosesEnd,
     ZeroSensor,
 )
-from galen_calibration_behavior.commands import CalibrationCode as ErrorCode
-from galen_calibration_behavior.commands import CalibrationState as State
-from galen_calibration_behavior.parameters import CalibrationParameters
+from galen_calibration_behavior.common.commands import CalibrationCode as ErrorCode
+from galen_calibration_behavior.common.commands import CalibrationState as State
+from galen_calibration_behavior.common.parameters import CalibrationParameters
 from galen_model.arm.galen import GALEN
 from galen_ros.goal.procedure import MoveTo, Stop
 

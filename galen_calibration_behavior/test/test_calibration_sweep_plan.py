@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from calibration_fake_arm import FakeArm
 from galen_calibration_behavior.calibrate_from_bag import main
-from galen_calibration_behavior.commands import CalibrationCode
-from galen_calibration_behavior.parameters import CalibrationParameters
+from galen_calibration_behavior.common.commands import CalibrationCode
+from galen_calibration_behavior.common.parameters import CalibrationParameters
 from galen_model.arm.clearance import ArmClearance, ObstacleError, boxes_from_numbers
 from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError, NotExcitedError
@@ -17,8 +17,8 @@ from galen_model.load.choice import choose_calibration
 from galen_model.load.drifting_bias import BiasShape, Shape, Sweeps, finish
 from galen_model.load.identification import StillPoses, identify_two_sweeps
 from galen_model.load.model import ADAPTER, TOOLS, gravity_regressor, gravity_wrench
+from galen_model.load.pose_order import drift_price, drift_warning
 from galen_model.poses.design import reading_noise
-from galen_model.poses.order import drift_price, drift_warning
 from galen_model.poses.plan import (
     make_router,
     order_poses,

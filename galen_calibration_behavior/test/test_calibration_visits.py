@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 from calibration_tape import NO_TOOL, NS, POINTER, Tape, grid
+from galen_calibration_behavior.common.parameters import CalibrationParameters
 from galen_calibration_behavior.from_bag.visits import find_visits
-from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
 from galen_model.load.model import ADAPTER, gravity_wrench

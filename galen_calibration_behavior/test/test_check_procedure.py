@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from calibration_fake_arm import NO_TOOL, POINTER, FakeArm
 from check_pointer_file import POINTER_FILE
-from galen_calibration_behavior.commands import CheckCode, CheckState, PoseFeedback, PosesEnd
-from galen_calibration_behavior.parameters import CalibrationParameters
+from galen_calibration_behavior.common.commands import CheckCode, CheckState, PoseFeedback, PosesEnd
+from galen_calibration_behavior.common.parameters import CalibrationParameters
 from galen_calibration_behavior.quick_check.procedure import CheckProcedure
 from galen_model.arm.clearance import ArmClearance, boxes_from_numbers
 from galen_model.arm.galen import GALEN

@@ -16,11 +16,11 @@ from galen_model.arm.galen import GALEN
 from galen_model.errors import CalibrationFileError
 from galen_model.files.calibration_file import (
     CalibrationFile,
-    LoadEstimate,
     read_calibration,
     write_calibration,
     zeroed_at,
 )
+from galen_model.load.model import LoadEstimate
 
 LINEAR = ["joint_stiffness", "joint_hysteresis", "independent", "coupled"]
 

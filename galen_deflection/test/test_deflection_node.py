@@ -13,12 +13,11 @@ from galen_gravcomp.node import GravcompNode
 from galen_model.arm.galen import GALEN
 from galen_model.files.calibration_file import (
     CalibrationFile,
-    LoadEstimate,
     calibration_path,
     write_calibration,
     zeroed_at,
 )
-from galen_model.load.model import TOOLS
+from galen_model.load.model import TOOLS, LoadEstimate
 from galen_model.registration import Transform
 from galen_model.rotation import quaternion_to_matrix
 from galen_ros.messages import STREAM, fill_stamp, fill_wrench, stamp_to_ns

@@ -8,6 +8,7 @@ import pytest
 from galen_bags.arrays.arm_recording import read_arm
 from galen_bags.arrays.marker_tracks import RawTrack, marker_track
 from galen_bags.formats.bag import open_bag
+from galen_bags.formats.errors import BagError
 from galen_deflection.measurement.arm_track import (
     no_contact_phase,
     noise_of_mean,
@@ -38,8 +39,6 @@ from push_bag import (
     nominal,
     write,
 )
-
-from galen_bags import BagError
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "recordings" / "disclosed"
 SHORT = Scene(positions=POSITIONS[:2])

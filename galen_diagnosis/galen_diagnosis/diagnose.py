@@ -60,7 +60,6 @@ from galen_sim_driver.effects.load import InertialLoad, ToolMassError
 from rich.console import Console
 
 from galen_diagnosis.answer.answer import Answer, Diagnosis
-from galen_diagnosis.answer.corrections import corrections
 from galen_diagnosis.experiment.next_experiment import write_sweep
 from galen_diagnosis.inference.diagnosing import diagnose_recording
 from galen_diagnosis.observation.recording import (
@@ -70,6 +69,7 @@ from galen_diagnosis.observation.recording import (
     require_sound_setup,
 )
 from galen_diagnosis.observation.rows import BAGS
+from galen_diagnosis.report.corrections import corrections
 from galen_diagnosis.report.report import (
     COLUMNS,
     EFFECT,

@@ -37,13 +37,8 @@ from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN, SENSOR, TRACKER_FRAME
 from galen_model.arrays import Array, evenly_spread
 from galen_model.errors import GalenError
-from galen_model.files.calibration_file import (
-    CalibrationFile,
-    LoadEstimate,
-    write_calibration,
-    zeroed_at,
-)
-from galen_model.load.model import Load
+from galen_model.files.calibration_file import CalibrationFile, write_calibration, zeroed_at
+from galen_model.load.model import Load, LoadEstimate
 from galen_model.poses.plan import quintic_duration_s
 from galen_ros.arm import add_arm, chosen_arm
 from galen_ros.cdr import joint_state_bytes, pose_bytes, wrench_bytes

@@ -15,7 +15,7 @@ from galen_diagnosis.blind.score import (
 )
 from galen_diagnosis.blind.table import LINES, fill, tables
 from galen_model.errors import GalenError
-from galen_model.files.json_fields import FieldError
+from galen_model.json_fields import FieldError
 
 from galen_diagnosis import blind_check
 

@@ -12,7 +12,6 @@ from diagnosis_example import example_diagnosis
 from galen_bags.formats.bag import open_bag
 from galen_bags.formats.writer import BagWriter
 from galen_diagnosis.answer.answer import FoundCause, Interval
-from galen_diagnosis.answer.corrections import corrections
 from galen_diagnosis.diagnose import main as diagnose
 from galen_diagnosis.effects.candidates import candidates, sought
 from galen_diagnosis.experiment.next_experiment import propose, write_sweep
@@ -21,6 +20,7 @@ from galen_diagnosis.experiment.trial import push_trial
 from galen_diagnosis.inference.diagnosing import diagnose_recording
 from galen_diagnosis.observation.observation import Observation
 from galen_diagnosis.observation.recording import read_recording
+from galen_diagnosis.report.corrections import corrections
 from galen_diagnosis.simulated_recording import main, make_recording, push_positions, sweep_poses
 from galen_model.arm.description import read_arm
 from galen_model.arm.galen import GALEN

@@ -6,7 +6,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 import yaml
-from galen_calibration_behavior.parameters import CalibrationParameters
+from galen_calibration_behavior.common.parameters import CalibrationParameters
 from galen_deflection.collection.plan import CollectionParameters
 from galen_diagnosis.experiment.next_experiment import Proposal, proposals, propose, write_sweep
 from galen_diagnosis.experiment.separation import (
@@ -26,8 +26,8 @@ from galen_diagnosis.experiment.trial import (
 )
 from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
-from galen_model.files.calibration_file import CalibrationFile, LoadEstimate, zeroed_at
-from galen_model.load.model import ADAPTER, TOOLS
+from galen_model.files.calibration_file import CalibrationFile, zeroed_at
+from galen_model.load.model import ADAPTER, TOOLS, LoadEstimate
 from galen_model.poses.design import angle_grid
 from galen_sim_driver.effects.registry import EFFECTS
 from scipy.integrate import quad

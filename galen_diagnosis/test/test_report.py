@@ -11,8 +11,8 @@ import pytest
 import yaml
 from diagnosis_example import example_answer, example_diagnosis
 from galen_diagnosis.answer.answer import NO_GAP, Answer, Excluded, FoundCause, Interval
-from galen_diagnosis.answer.excluded import detection_strength, excluded_effects
 from galen_diagnosis.inference.diagnosing import explore
+from galen_diagnosis.inference.excluded import detection_strength, excluded_effects
 from galen_diagnosis.inference.posterior import Scored, load_settings, posterior
 from galen_diagnosis.observation.recording import read_recording
 from galen_diagnosis.report.pictures import answer_figure, gap_figure

@@ -17,10 +17,10 @@ import numpy as np
 from galen_bags.arrays.arm_recording import Samples
 from galen_model.arm.arm import Arm
 from galen_model.arrays import Array
+from galen_model.calibrated.prediction import Prediction
 from galen_model.errors import GalenError
 from galen_model.evidence.verdict import Limits
 from galen_model.files.calibration_file import CalibrationFile
-from galen_model.load.prediction import Prediction
 from galen_ros.stream.pairing import WrenchPairing
 from galen_ros.stream.regular_run import Arrivals
 from galen_ros.stream.samples import PairedWrench, Rejected, Rejection, Result

@@ -49,7 +49,7 @@ from dataclasses import dataclass
 import numpy as np
 from galen_model.arm.arm import Arm
 from galen_model.arrays import Array
-from galen_model.evidence import columns
+from galen_model.calibrated import columns
 from galen_model.evidence.linear import (
     LOG_2PI,
     Information,

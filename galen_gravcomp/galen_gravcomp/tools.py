@@ -11,7 +11,7 @@ from typing import Any
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
-from galen_model.files.calibration_file import LoadEstimate, age_text
+from galen_model.files.calibration_file import age_text
 from galen_model.files.calibration_store import CalibrationStore, CalibrationStoreError
 from galen_model.files.comparison import (
     CalibrationComparison,
@@ -20,6 +20,7 @@ from galen_model.files.comparison import (
     three_digits,
 )
 from galen_model.files.export import FORMATS, export_load
+from galen_model.load.model import LoadEstimate
 from galen_ros.arm import add_arm, chosen_arm
 from galen_ros.command import (
     EXIT_OK,

@@ -2,7 +2,8 @@
 
 import numpy as np
 from galen_model.arm.galen import GALEN
-from galen_model.files.calibration_file import CalibrationFile, LoadEstimate, zeroed_at
+from galen_model.files.calibration_file import CalibrationFile, zeroed_at
+from galen_model.load.model import LoadEstimate
 
 POINTER_COM, RETRACTOR_COM = (0.055, 0.002, 0.045), (0.07, -0.01, 0.055)
 

@@ -16,7 +16,7 @@ from galen_model.arm.description import read_arm
 from galen_model.arm.galen import SENSOR
 from galen_model.evidence.verdict import Cause
 from galen_model.load.cable import LearnedPull
-from galen_model.load.mounting.mounting import Mounting
+from galen_model.load.mounting import Mounting
 from galen_ros.cdr import joint_state_bytes, wrench_bytes
 from galen_ros.stream.samples import PairedWrench
 from motion_tape import MS, START_NS, measured, readings, swing, tool_file

@@ -11,11 +11,11 @@ from galen_gravcomp.evaluate.command import main
 from galen_gravcomp.evaluate.table_scores import evaluate_table, table_prediction, tool_from_table
 from galen_gravcomp.parameters import GravcompParameters
 from galen_model.arm.galen import GALEN
+from galen_model.calibrated.prediction import Prediction
 from galen_model.errors import GalenError
 from galen_model.evidence.block_gain import MOUNTED, PLAIN
 from galen_model.files.calibration_file import read_calibration
-from galen_model.load.mounting.mounting import Mounting
-from galen_model.load.prediction import Prediction
+from galen_model.load.mounting import Mounting
 from galen_ros.stream.samples import PairedWrench
 from sample_blocks import topic
 from scipy.spatial.transform import Rotation

@@ -17,7 +17,7 @@ from galen_model.files.calibration_file import (
     zeroed_at,
 )
 from galen_model.load.cable import LearnedPull
-from galen_model.load.mounting.mounting import Mounting
+from galen_model.load.mounting import Mounting
 
 from galen_gravcomp import tool_services
 from galen_gravcomp import tools as tools_module

@@ -2,8 +2,8 @@
 
 import numpy as np
 from galen_model.arm.galen import GALEN
-from galen_model.files.calibration_file import CalibrationFile, LoadEstimate, zeroed_at
-from galen_model.load.model import ADAPTER, TOOLS
+from galen_model.files.calibration_file import CalibrationFile, zeroed_at
+from galen_model.load.model import ADAPTER, TOOLS, LoadEstimate
 
 COVARIANCE = np.diag([1e-8, 1e-9, 1e-9, 1e-9])
 

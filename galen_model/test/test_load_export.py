@@ -11,7 +11,7 @@ import pinocchio
 import pytest
 import yaml
 from galen_model.arm.description import read_arm
-from galen_model.files.calibration_file import CalibrationFile, LoadEstimate, zeroed_at
+from galen_model.files.calibration_file import CalibrationFile, zeroed_at
 from galen_model.files.export import FORMATS, export_load, hung_load, principal_axes
 from galen_model.load.frames import FrameNeedsJointsError, sensor_in_frame
 from galen_model.load.inertia import (
@@ -20,7 +20,7 @@ from galen_model.load.inertia import (
     inertia_numbers,
     point_mass_inertia,
 )
-from galen_model.load.model import Load, gravity_wrench
+from galen_model.load.model import Load, LoadEstimate, gravity_wrench
 from galen_model.rotation import rot_x, rot_y, rot_z
 from scipy.spatial.transform import Rotation
 

@@ -7,7 +7,6 @@ import pinocchio
 import pytest
 from galen_model.arm.description import PinocchioArm, read_arm
 from galen_model.arm.galen import GALEN, GRAVITY_M_S2
-from galen_model.files.calibration_file import LoadEstimate
 from galen_model.load.frames import (
     FrameError,
     FrameNeedsJointsError,
@@ -16,7 +15,7 @@ from galen_model.load.frames import (
     needed_joints,
     sensor_in_frame,
 )
-from galen_model.load.model import gravity_wrench
+from galen_model.load.model import LoadEstimate, gravity_wrench
 
 TIP_M = np.array([0.15, -0.02, 0.05])
 COVARIANCE = np.cov(

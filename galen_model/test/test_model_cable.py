@@ -8,10 +8,17 @@ import numpy as np
 import pytest
 from galen_model.arm.description import read_arm
 from galen_model.arm.galen import GALEN, SENSOR
+from galen_model.calibrated.cable_learning import (
+    CableSweep,
+    _Likelihood,
+    fit_cable,
+    learn_cable,
+    pose_blocks,
+    spacing_rad,
+)
 from galen_model.errors import CalibrationFileError, IdentificationError, NotExcitedError
 from galen_model.files.calibration_file import (
     CalibrationFile,
-    LoadEstimate,
     read_calibration,
     write_calibration,
     zeroed_at,
@@ -22,15 +29,7 @@ from galen_model.load.cable import (
     form_matrices,
     smooth_kernel,
 )
-from galen_model.load.cable_learning import (
-    CableSweep,
-    _Likelihood,
-    fit_cable,
-    learn_cable,
-    pose_blocks,
-    spacing_rad,
-)
-from galen_model.load.model import Load, gravity_wrench
+from galen_model.load.model import Load, LoadEstimate, gravity_wrench
 from galen_model.registration import move_wrench
 
 SIX = read_arm((Path(__file__).parents[2] / "galen_bringup/urdf/six_axis.urdf").read_text())

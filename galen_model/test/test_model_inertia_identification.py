@@ -8,15 +8,19 @@ import pytest
 from galen_model.arm.description import read_arm
 from galen_model.arm.galen import ENCODER_QUANTUM, GALEN, SENSOR
 from galen_model.arm.sensor_motion import sensor_motion
+from galen_model.calibrated.inertia_identification import (
+    identify_inertia,
+    motion_record,
+    total_moments,
+)
 from galen_model.errors import IdentificationError, NotExcitedError
-from galen_model.files.calibration_file import CalibrationFile, LoadEstimate, zeroed_at
+from galen_model.files.calibration_file import CalibrationFile, zeroed_at
 from galen_model.load.inertia import (
     inertial_regressor,
     inertial_wrench,
     point_mass_inertia,
 )
-from galen_model.load.inertia_identification import identify_inertia, motion_record, total_moments
-from galen_model.load.model import Load
+from galen_model.load.model import Load, LoadEstimate
 
 TOOL, ADAPTER = Load(0.2, np.array([0.07, -0.01, 0.055])), Load(0.1, np.array([0, 0, 0.02]))
 INERTIA = point_mass_inertia(TOOL, ADAPTER) + np.array([3e-4, 5e-4, 4e-4, 2e-5, -4e-5, 1e-5])

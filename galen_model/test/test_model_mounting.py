@@ -13,15 +13,15 @@ from galen_model.errors import IdentificationError, NotExcitedError
 from galen_model.evidence.block_gain import MOUNTED, ROBUST
 from galen_model.files.calibration_file import (
     CalibrationFile,
-    LoadEstimate,
     read_calibration,
     write_calibration,
     zeroed_at,
 )
-from galen_model.files.json_fields import FieldError
+from galen_model.json_fields import FieldError
 from galen_model.load.identification import StillPoses
-from galen_model.load.model import ADAPTER, TOOLS, Load
-from galen_model.load.mounting.identification import (
+from galen_model.load.model import ADAPTER, TOOLS, Load, LoadEstimate
+from galen_model.load.mounting import Mounting, entities, groups_of, parameters
+from galen_model.load.mounting_identification import (
     Calibrated,
     KnownLoad,
     check_planned_mounting,
@@ -30,8 +30,7 @@ from galen_model.load.mounting.identification import (
     identify_two_sweeps_mounted,
     worth,
 )
-from galen_model.load.mounting.mounting import Mounting, entities, groups_of, parameters
-from galen_model.load.mounting.reading_model import JointPoses, MountedSweep, ReadingModel
+from galen_model.load.reading_model import JointPoses, MountedSweep, ReadingModel
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 

@@ -5,13 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from galen_model.arm.galen import GALEN
-from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
+from galen_model.files.calibration_file import CalibrationFile
 from galen_model.files.comparison import (
     IncomparableError,
     compare_calibrations,
     same_load,
     three_digits,
 )
+from galen_model.load.model import LoadEstimate
 from model_files import calibration
 
 COVARIANCE = np.diag([0.03e-3, 0.2e-3, 0.3e-3, 0.1e-3]) ** 2

@@ -21,7 +21,7 @@ from galen_panel.access import MAX_HEADER_BYTES, Access, LimitedProtocol, Turns
 from galen_panel.options import Options
 from galen_panel.panel import end_by_signals, end_server, ignore_signals
 from galen_panel.recordings.recordings import Recordings
-from galen_panel.shapes import MESHES_PATH
+from galen_panel.state.shapes import MESHES_PATH
 
 if TYPE_CHECKING:
     from galen_panel.ros.suite import RosSuite

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 from galen_model.arm.galen import GALEN
-from galen_panel.history import History
-from galen_panel.shapes import draw
-from galen_panel.snapshot import (
+from galen_panel.state.history import History
+from galen_panel.state.shapes import draw
+from galen_panel.state.snapshot import (
     CallAnswer,
     ListedTool,
     LoadedTool,

@@ -7,7 +7,7 @@ from fake_suite import ACTIVE, ALL, BROKEN, CALIBRATION_READY, COMPENSATING, POI
 from galen_model.evidence.verdict import CheckAnswer
 from galen_panel.messages.steps import current, steps
 from galen_panel.page import guide
-from galen_panel.snapshot import (
+from galen_panel.state.snapshot import (
     Behaviour,
     BehaviourKind,
     BehaviourOutcome,

@@ -3,7 +3,7 @@ import io
 
 import numpy as np
 import pytest
-from galen_panel.history import (
+from galen_panel.state.history import (
     BUCKETS,
     HEADER,
     NS_PER_S,
@@ -13,7 +13,7 @@ from galen_panel.history import (
     bucket_ns,
     plot_rows,
 )
-from galen_panel.history import csv as written
+from galen_panel.state.history import csv as written
 
 
 class Reference:

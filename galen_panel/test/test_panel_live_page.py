@@ -17,7 +17,7 @@ from galen_model.arm.galen import GALEN
 from galen_model.rotation import quaternion_to_matrix
 from galen_panel.page import live
 from galen_panel.page.arm import FORCE_M_PER_N, parts, place
-from galen_panel.shapes import draw
+from galen_panel.state.shapes import draw
 from page_user import on_page
 
 START_S = 1_000_000.0

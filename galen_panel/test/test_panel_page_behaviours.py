@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 from fake_suite import ACTIVE, ALL, POINTER, RETRACTOR, FakeSuite
-from galen_panel.snapshot import (
+from galen_panel.state.snapshot import (
     Behaviour,
     BehaviourKind,
     BehaviourOutcome,

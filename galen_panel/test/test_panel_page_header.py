@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 from fake_suite import ACTIVE, ALL, COMPENSATING, FakeSuite
-from galen_panel.snapshot import NodeLevel
+from galen_panel.state.snapshot import NodeLevel
 from page_user import on_page, page_test
 
 

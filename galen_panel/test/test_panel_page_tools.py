@@ -6,7 +6,7 @@ from functools import partial
 
 from fake_suite import ACTIVE, ALL, POINTER, RETRACTOR, FakeSuite
 from galen_panel.page.outcome import is_shown
-from galen_panel.snapshot import BehaviourKind, Goal, ListedTool, QuantityDifference
+from galen_panel.state.snapshot import BehaviourKind, Goal, ListedTool, QuantityDifference
 from page_user import on_page, page_test
 
 

@@ -10,8 +10,8 @@ from galen_panel.messages import programs, texts
 from galen_panel.page.layout import count
 from galen_panel.page.outcome import ACTIVE as KEPT
 from galen_panel.page.outcome import HERE, REPLACED, fate, left_out, sentence_of, title_and_level
-from galen_panel.shapes import draw
-from galen_panel.snapshot import (
+from galen_panel.state.shapes import draw
+from galen_panel.state.snapshot import (
     Behaviour,
     BehaviourKind,
     BehaviourOutcome,

@@ -15,12 +15,8 @@ import pytest
 from galen_bags.formats.writer import BagWriter
 from galen_model.arm.description import read_arm
 from galen_model.arm.galen import GALEN
-from galen_model.files.calibration_file import (
-    CalibrationFile,
-    LoadEstimate,
-    write_calibration,
-    zeroed_at,
-)
+from galen_model.files.calibration_file import CalibrationFile, write_calibration, zeroed_at
+from galen_model.load.model import LoadEstimate
 from galen_panel.access import Access
 from galen_panel.recordings.recordings import Recordings
 from galen_panel.recordings.reports import (

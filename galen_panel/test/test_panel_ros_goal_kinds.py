@@ -6,7 +6,7 @@ import pytest
 from galen_panel.page.outcome import sentence_of
 from galen_panel.ros.goal_kinds import KINDS, rejected_pose
 from galen_panel.ros.thread import CallError
-from galen_panel.snapshot import BehaviourKind, Goal
+from galen_panel.state.snapshot import BehaviourKind, Goal
 
 from galen_msgs.action import CalibrateTool, CheckTool, CollectPushes
 

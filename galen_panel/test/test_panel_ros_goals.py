@@ -4,10 +4,10 @@ import math
 import threading
 
 import pytest
-from galen_calibration_behavior.commands import CalibrationCode as ErrorCode
-from galen_calibration_behavior.commands import CalibrationState as Phase
+from galen_calibration_behavior.common.commands import CalibrationCode as ErrorCode
+from galen_calibration_behavior.common.commands import CalibrationState as Phase
 from galen_panel.ros import goals as ros_goals
-from galen_panel.snapshot import BehaviourKind, Goal
+from galen_panel.state.snapshot import BehaviourKind, Goal
 from galen_ros.node.diagnostics import OK, DiagnosticsPublisher, Status
 from galen_ros.rclpy_workarounds import DeferredActionServer
 from panel_ros_world import World, panel_world

@@ -5,7 +5,7 @@ import time
 
 import pytest
 from galen_panel.ros.suite import RosSuite
-from galen_panel.snapshot import BehaviourKind, Goal
+from galen_panel.state.snapshot import BehaviourKind, Goal
 from panel_processes import PanelWorld
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(400)]

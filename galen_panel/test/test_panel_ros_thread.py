@@ -7,7 +7,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from galen_panel.ros.board import Board
 from galen_panel.ros.thread import CallError, RosThread
-from galen_panel.snapshot import Behaviour, BehaviourKind, NodeLevel
+from galen_panel.state.snapshot import Behaviour, BehaviourKind, NodeLevel
 from galen_ros.node.spin import DomainLock
 from panel_ros_world import panel_world
 from rclpy.node import Node

@@ -15,7 +15,7 @@ from galen_model.errors import GalenError
 from galen_model.files.calibration_file import calibration_path, read_calibration, write_calibration
 from galen_panel.ros import board as ros_board
 from galen_panel.ros.suite import RosSuite
-from galen_panel.snapshot import (
+from galen_panel.state.snapshot import (
     BehaviourKind,
     Goal,
     NodeLevel,

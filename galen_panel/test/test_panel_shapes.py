@@ -14,10 +14,9 @@ from galen_model.errors import GalenError
 from galen_model.rotation import quaternion_to_matrix
 from galen_panel.page.arm import middle_and_size, parts, place
 from galen_panel.server import mesh_answer
-from galen_panel.shapes import draw, mesh_file
+from galen_panel.state import shapes
+from galen_panel.state.shapes import draw, mesh_file
 from starlette.requests import Request
-
-from galen_panel import shapes
 
 SIX_AXIS = (Path(__file__).parents[2] / "galen_bringup/urdf/six_axis.urdf").read_text()
 TIP, WRENCH = np.array([0.0, 0.02, 0.1]), np.array([0.0, 0.0, 9.0, 0.0, 0.0, 0.0])

@@ -4,7 +4,7 @@ import ast
 from pathlib import Path
 
 import pytest
-from galen_calibration_behavior.commands import CalibrationState, CheckState
+from galen_calibration_behavior.common.commands import CalibrationState, CheckState
 from galen_deflection.collection.plan import State as CollectionState
 from galen_deflection.deflector import ModelRejection
 from galen_deflection.monitor import DeflectorMonitor
@@ -18,7 +18,7 @@ from galen_panel.messages.programs import (
     words_of,
     words_of_other,
 )
-from galen_panel.snapshot import (
+from galen_panel.state.snapshot import (
     Behaviour,
     BehaviourKind,
     BehaviourOutcome,

@@ -17,7 +17,7 @@ from galen_model.arm.arm import (
 )
 from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
-from galen_model.files.json_fields import FieldError, read_limited
+from galen_model.json_fields import FieldError, read_limited
 
 from galen_ros.parameters import ParameterError, param
 

@@ -61,14 +61,14 @@ from galen_model.arm.galen import GALEN  # noqa: E402
 from galen_model.errors import GalenError  # noqa: E402
 from galen_model.files.calibration_file import (  # noqa: E402
     CalibrationFile,
-    LoadEstimate,
     read_calibration,
     write_calibration,
     zeroed_at,
 )
 from galen_model.files.calibration_store import CalibrationStore  # noqa: E402
 from galen_model.files.comparison import compare_calibrations  # noqa: E402
-from galen_model.files.json_fields import FieldError  # noqa: E402
+from galen_model.json_fields import FieldError  # noqa: E402
+from galen_model.load.model import LoadEstimate  # noqa: E402
 from galen_ros.cdr import ImuWire, JointWire, WrenchWire  # noqa: E402
 
 LONGEST_MESSAGE = 2000

@@ -18,7 +18,7 @@ import numpy as np
 from galen_model.arm.arm import MAX_URDF_BYTES, Arm
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
-from galen_model.files.json_fields import FieldError, read_limited
+from galen_model.json_fields import FieldError, read_limited
 from galen_ros.arm import ArmParameters
 from galen_ros.cdr import (
     NS_PER_S,
@@ -32,8 +32,8 @@ from galen_ros.cdr import (
     stamped_layout,
 )
 
-from galen_bags import BagError
 from galen_bags.formats.bag import Bag, listing, open_bag, robot_description
+from galen_bags.formats.errors import BagError
 from galen_bags.formats.raw_block import Messages, windows
 
 WRENCH_TYPE = "geometry_msgs/msg/WrenchStamped"

@@ -10,7 +10,6 @@ from galen_model.registration import Transform
 from galen_model.rotation import quaternion_to_matrix
 from scipy.ndimage import median_filter
 
-from galen_bags import BagError
 from galen_bags.arrays.arm_recording import (
     POSE_TYPE,
     Decoder,
@@ -20,6 +19,7 @@ from galen_bags.arrays.arm_recording import (
 )
 from galen_bags.arrays.timeline import Timeline, lay_out, stamp_sentences
 from galen_bags.formats.bag import Bag
+from galen_bags.formats.errors import BagError
 
 _NORM_TOLERANCE = 1e-3
 # So many poses alike to the last bit are no measurement: noise alone would make them differ.

@@ -18,7 +18,7 @@ import numpy as np
 from rosbags.rosbag2 import Reader, ReaderError
 from rosbags.typesys import TypesysError
 
-from galen_bags import BagError
+from galen_bags.formats.errors import BagError
 from galen_bags.formats.files import (
     STORAGES,
     ZSTD_ENDING,

@@ -10,12 +10,12 @@ from pathlib import Path, PurePath
 from typing import Any
 
 import yaml
-from galen_model.files.json_fields import read_limited
+from galen_model.json_fields import read_limited
 from rosbags.interfaces import Qos
 from rosbags.rosbag2 import ReaderError
 from rosbags.rosbag2.metadata import parse_qos
 
-from galen_bags import BagError
+from galen_bags.formats.errors import BagError
 
 STORAGES = (".mcap", ".db3")
 ZSTD_ENDING = ".zstd"

@@ -21,7 +21,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from galen_bags import BagError
+from galen_bags.formats.errors import BagError
 from galen_bags.formats.mcap_records import (
     CHANNEL,
     CHUNK,

@@ -14,7 +14,7 @@ from rosbags.interfaces import Qos
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer, WriterError
 from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 
-from galen_bags import BagError
+from galen_bags.formats.errors import BagError
 
 # The version that rosbag2 of Jazzy writes.
 _METADATA_VERSION = 9

@@ -40,7 +40,7 @@ from galen_calibration_behavior.calibration.procedure import (
     CalibrationProcedure,
     CalibrationRequest,
 )
-from galen_calibration_behavior.commands import (
+from galen_calibration_behavior.common.commands import (
     WARNING,
     AttachTool,
     CalibrationCode,
@@ -49,7 +49,7 @@ from galen_calibration_behavior.commands import (
     PosesEnd,
     ZeroSensor,
 )
-from galen_calibration_behavior.parameters import MAX_ITERS
+from galen_calibration_behavior.common.parameters import MAX_ITERS
 from galen_msgs.action import CalibrateTool
 from galen_msgs.srv import SetTool
 

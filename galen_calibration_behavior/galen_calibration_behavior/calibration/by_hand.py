@@ -20,12 +20,12 @@ import numpy as np
 from galen_model.arm.arm import Arm
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
-from galen_model.files.calibration_file import LoadEstimate
 from galen_model.load.identification import (
     SingleLoad,
     identify_single_load,
     single_load_design,
 )
+from galen_model.load.model import LoadEstimate
 from galen_model.load.robust_fit import MIN_POSES_TO_REJECT
 from galen_model.poses.design import compensation_std_under, workspace_gravity
 from galen_model.rest.segments import PoseRecord
@@ -36,9 +36,9 @@ from galen_calibration_behavior.calibration.procedure import (
     CalibrationProcedure,
     CalibrationRequest,
 )
-from galen_calibration_behavior.calibration.sweep import Sweep, stack
-from galen_calibration_behavior.commands import CalibrationCode, CalibrationState
-from galen_calibration_behavior.parameters import CalibrationParameters
+from galen_calibration_behavior.common.commands import CalibrationCode, CalibrationState
+from galen_calibration_behavior.common.parameters import CalibrationParameters
+from galen_calibration_behavior.common.sweep import Sweep, stack
 
 TURN_RAD = 0.15
 """Two poses nearer than this, by gravity in the sensor, are one."""

@@ -27,15 +27,15 @@ from galen_model.files.calibration_file import (
     write_calibration,
     zeroed_at,
 )
-from galen_model.files.json_fields import LONGEST_SENTENCE
+from galen_model.json_fields import LONGEST_SENTENCE
 from galen_model.load.choice import choose_calibration
 from galen_model.load.identification import Identification, zeroing_fault
-from galen_model.load.mounting.identification import Calibrated, KnownLoad, worth
-from galen_model.load.mounting.mounting import Mounting
+from galen_model.load.mounting import Mounting
+from galen_model.load.mounting_identification import Calibrated, KnownLoad, worth
 from galen_model.setup_check.check import SetupError, require_setup
 from galen_model.setup_check.readings import StillReadings
 
-from galen_calibration_behavior.commands import CalibrationCode, Measurements
+from galen_calibration_behavior.common.commands import CalibrationCode, Measurements
 
 LONGEST_TOOL_M = 2.0
 """A slip of the unit or a made-up number is found before the arm moves, not after the sweep."""
@@ -51,7 +51,7 @@ class EstimateError(GalenError):
 
 @dataclass(frozen=True)
 class MountingRequest:
-    """Groups of `galen_model.load.mounting.mounting` to estimate; what is known of the tool."""
+    """Groups of `galen_model.load.mounting` to estimate; what is known of the tool."""
 
     groups: tuple[str, ...]
     known: KnownLoad | None = None

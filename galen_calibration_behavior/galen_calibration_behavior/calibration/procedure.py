@@ -30,8 +30,7 @@ from galen_ros.goal.arrival import PoseRejection
 from galen_ros.goal.procedure import OnRecord, PoseProcedure
 from numpy.typing import ArrayLike
 
-from galen_calibration_behavior.calibration.sweep import Sweep, Verdict, still_poses
-from galen_calibration_behavior.commands import (
+from galen_calibration_behavior.common.commands import (
     WARNING,
     AttachTool,
     CalibrationCode,
@@ -41,7 +40,8 @@ from galen_calibration_behavior.commands import (
     PosesEnd,
     ZeroSensor,
 )
-from galen_calibration_behavior.parameters import CalibrationParameters
+from galen_calibration_behavior.common.parameters import CalibrationParameters
+from galen_calibration_behavior.common.sweep import Sweep, Verdict, still_poses
 
 # A topic's queue holds no more than this of stamps: 2000 samples at 500 Hz.
 _DEEPEST_QUEUE_S = 4.0

@@ -24,7 +24,7 @@ from galen_model.files.calibration_file import (
     calibration_path,
     read_calibration,
 )
-from galen_model.load.mounting.identification import KnownLoad
+from galen_model.load.mounting_identification import KnownLoad
 from galen_model.setup_check.stamps import check_stamps
 
 from galen_calibration_behavior.calibration.estimate import (
@@ -39,10 +39,10 @@ from galen_calibration_behavior.calibration.estimate import (
     format_result,
     mounting_fields,
 )
-from galen_calibration_behavior.commands import CalibrationCode
+from galen_calibration_behavior.common.commands import CalibrationCode
+from galen_calibration_behavior.common.parameters import CalibrationParameters
 from galen_calibration_behavior.from_bag.sweeps import RecordedSweeps, SweepSorter
 from galen_calibration_behavior.from_bag.visits import Visits, find_visits
-from galen_calibration_behavior.parameters import CalibrationParameters
 from galen_ros import command
 
 T = TypeVar("T")

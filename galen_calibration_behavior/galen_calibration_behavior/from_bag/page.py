@@ -15,8 +15,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
-from galen_model.files.calibration_file import LoadEstimate
-from galen_model.load.model import gravity_wrench
+from galen_model.load.model import LoadEstimate, gravity_wrench
 from galen_model.load.robust_fit import MIN_POSES_TO_REJECT
 from galen_model.poses.design import compensation_std_under, workspace_gravity
 from galen_model.rest.segments import PoseRecord
@@ -25,9 +24,9 @@ from galen_ros.goal.arrival import NS
 
 from galen_calibration_behavior.calibration.by_hand import down_text, missing_direction
 from galen_calibration_behavior.calibration.estimate import Calibration
+from galen_calibration_behavior.common.parameters import CalibrationParameters
 from galen_calibration_behavior.from_bag.sweeps import RecordedSweeps
 from galen_calibration_behavior.from_bag.visits import Visits
-from galen_calibration_behavior.parameters import CalibrationParameters
 
 _COLOURS = ("#0072b2", "#e69f00", "#009e73")
 """Of x, y, z: Okabe and Ito's, which colour-blind people distinguish."""

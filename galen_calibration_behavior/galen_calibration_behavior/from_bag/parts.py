@@ -11,6 +11,19 @@ import numpy as np
 from galen_bags.arrays.arm_recording import ArmRecording
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
+from galen_model.calibrated.cable_learning import (
+    CableSweep,
+    LearnedCable,
+    check_same_tool,
+    learn_cable,
+    spread_out,
+)
+from galen_model.calibrated.inertia_identification import (
+    InertiaFit,
+    identify_inertia,
+    motion_record,
+    total_moments,
+)
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import (
     CalibrationFile,
@@ -19,20 +32,7 @@ from galen_model.files.calibration_file import (
     write_calibration,
 )
 from galen_model.load.cable import MAX_POSES, SUPPORT_M
-from galen_model.load.cable_learning import (
-    CableSweep,
-    LearnedCable,
-    check_same_tool,
-    learn_cable,
-    spread_out,
-)
 from galen_model.load.inertia import INERTIA_NAMES, point_mass_inertia
-from galen_model.load.inertia_identification import (
-    InertiaFit,
-    identify_inertia,
-    motion_record,
-    total_moments,
-)
 from galen_model.rest.segments import PoseRecord
 from galen_ros.command import terminal
 

@@ -25,11 +25,11 @@ from galen_model.setup_check.readings import StillReadings
 from galen_ros.goal.arrival import NS, PoseRejection
 from numpy.typing import ArrayLike
 
-from galen_calibration_behavior.calibration.sweep import stack, still_poses
-from galen_calibration_behavior.commands import Measurements
+from galen_calibration_behavior.common.commands import Measurements
+from galen_calibration_behavior.common.parameters import CalibrationParameters
+from galen_calibration_behavior.common.sweep import stack, still_poses
 from galen_calibration_behavior.from_bag.tool_border import Border, find_border
 from galen_calibration_behavior.from_bag.visits import Visit, Visits
-from galen_calibration_behavior.parameters import CalibrationParameters
 
 
 class HomeStays:

@@ -21,7 +21,7 @@ from galen_model.errors import GalenError
 from galen_model.rest.segments import JointRest, PoseRecord, rest_by_joints
 from galen_ros.goal.arrival import NS, PoseRecorder, PoseRejection, StampClock, StampsError
 
-from galen_calibration_behavior.parameters import CalibrationParameters
+from galen_calibration_behavior.common.parameters import CalibrationParameters
 
 # The recorder hears the samples from this long before a phase, for a stop is found by a window that
 # reaches back into the motion, and until this long after it, for wrenches received late.

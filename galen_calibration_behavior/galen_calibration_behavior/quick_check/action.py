@@ -15,9 +15,9 @@ from galen_ros.goal.procedure import End
 from galen_ros.messages import LATCHED
 from rclpy.action.server import ServerGoalHandle
 
-from galen_calibration_behavior.commands import CheckCode, PoseFeedback, PosesEnd
-from galen_calibration_behavior.parameters import MOST_CHECK_POSES
-from galen_calibration_behavior.quick_check.decision import FEWEST_POSES, centre_change
+from galen_calibration_behavior.common.check_decision import FEWEST_POSES, centre_change
+from galen_calibration_behavior.common.commands import CheckCode, PoseFeedback, PosesEnd
+from galen_calibration_behavior.common.parameters import MOST_CHECK_POSES
 from galen_calibration_behavior.quick_check.procedure import CheckProcedure
 from galen_msgs.action import CheckTool
 from galen_msgs.msg import ActiveTool

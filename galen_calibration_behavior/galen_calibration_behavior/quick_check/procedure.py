@@ -27,15 +27,15 @@ from galen_model.rest.segments import PoseRecord
 from galen_ros.goal.arrival import PoseRejection
 from galen_ros.goal.procedure import PoseProcedure
 
-from galen_calibration_behavior.calibration.sweep import Sweep, Verdict
-from galen_calibration_behavior.commands import (
+from galen_calibration_behavior.common.check_decision import FEWEST_POSES, QuickCheck, quick_check
+from galen_calibration_behavior.common.commands import (
     CheckCode,
     CheckState,
     PoseFeedback,
     PosesEnd,
 )
-from galen_calibration_behavior.parameters import CalibrationParameters
-from galen_calibration_behavior.quick_check.decision import FEWEST_POSES, QuickCheck, quick_check
+from galen_calibration_behavior.common.parameters import CalibrationParameters
+from galen_calibration_behavior.common.sweep import Sweep, Verdict
 
 _GRID_STEPS = 5
 # Of the best information: enough to see a change, for a smaller motion than a calibration's.

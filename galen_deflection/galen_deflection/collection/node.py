@@ -8,10 +8,11 @@ from enum import IntEnum
 from typing import Any
 
 import numpy as np
+from galen_bags.formats.errors import BagError
 from galen_model.arrays import Array
 from galen_model.errors import CalibrationFileError, GalenError, ToolNameError
 from galen_model.files.calibration_file import CalibrationFile, calibration_path, read_calibration
-from galen_model.files.json_fields import numbers
+from galen_model.json_fields import numbers
 from galen_model.rotation import quaternion_to_matrix
 from galen_ros.goal.node import ArmAction, GoalNode, RejectedGoalError, RunningGoal, named
 from galen_ros.goal.procedure import End
@@ -22,7 +23,6 @@ from rclpy.action.server import ServerGoalHandle
 from rclpy.client import Client
 from rclpy.subscription import Subscription
 
-from galen_bags import BagError
 from galen_deflection.collection.plan import (
     CollectionParameters,
     CollectionPlan,

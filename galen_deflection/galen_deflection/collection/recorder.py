@@ -25,6 +25,7 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
 
+from galen_bags.formats.errors import BagError
 from galen_bags.formats.writer import GrowingBagWriter
 from galen_bags.recorder import RecorderNode
 from galen_model.files.atomic_file import write_whole
@@ -33,7 +34,6 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from galen_bags import BagError
 from galen_deflection.measurement.samples import DeflectionError
 
 _SPIN_S = 0.05

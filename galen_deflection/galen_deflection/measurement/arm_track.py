@@ -13,8 +13,8 @@ from galen_bags.formats.bag import Bag
 from galen_model.arm.arm import Arm
 from galen_model.arm.galen import SENSOR
 from galen_model.arrays import Array
+from galen_model.calibrated.prediction import Prediction
 from galen_model.files.calibration_file import CalibrationFile
-from galen_model.load.prediction import Prediction
 from galen_model.rest.segments import rest_by_joints
 from galen_ros.stream.samples import joint_jump
 

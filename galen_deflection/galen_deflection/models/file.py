@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN
 from galen_model.files.atomic_file import write_whole
-from galen_model.files.json_fields import (
+from galen_model.json_fields import (
     DEFLECTION_MODEL,
     FieldError,
     check_kind,

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from galen_model.arm.arm import Arm
 from galen_model.arrays import Array
-from galen_model.files.json_fields import (
+from galen_model.json_fields import (
     FieldError,
     array,
     count,

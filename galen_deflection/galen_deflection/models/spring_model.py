@@ -19,7 +19,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from galen_model.arm.arm import Arm
 from galen_model.arrays import Array
-from galen_model.files.json_fields import (
+from galen_model.json_fields import (
     FieldError,
     array,
     covariance,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from galen_model.files.json_fields import (
+from galen_model.json_fields import (
     FieldError,
     get,
     items,

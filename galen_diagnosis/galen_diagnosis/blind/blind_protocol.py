@@ -32,7 +32,7 @@ from galen_bags.many import run_many
 from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
 from galen_model.files.atomic_file import write_whole
-from galen_model.files.json_fields import FieldError, read_json
+from galen_model.json_fields import FieldError, read_json
 from galen_ros.command import EXIT_INTERRUPTED, EXIT_OK, writing
 from galen_sim_driver.effects.registry import contract_parameters, identities
 

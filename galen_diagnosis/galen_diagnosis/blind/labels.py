@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from galen_model.errors import GalenError
-from galen_model.files.json_fields import (
+from galen_model.json_fields import (
     FieldError,
     check_version,
     get,

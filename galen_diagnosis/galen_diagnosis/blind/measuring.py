@@ -21,12 +21,8 @@ from galen_bags.formats.writer import BagWriter
 from galen_model.arm.arm import STANDARD_GRAVITY_M_S2, Arm
 from galen_model.arm.galen import ENCODER_QUANTUM, GALEN, SENSOR, TRACKER_FRAME
 from galen_model.arrays import Array
-from galen_model.files.calibration_file import (
-    CalibrationFile,
-    LoadEstimate,
-    write_calibration,
-    zeroed_at,
-)
+from galen_model.files.calibration_file import CalibrationFile, write_calibration, zeroed_at
+from galen_model.load.model import LoadEstimate
 from galen_ros.cdr import NS_PER_S, joint_state_bytes, pose_bytes, wrench_bytes
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_model.files.json_fields import FieldError
+from galen_model.json_fields import FieldError
 from scipy.optimize import linear_sum_assignment
 from scipy.stats import binomtest
 

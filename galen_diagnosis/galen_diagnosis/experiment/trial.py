@@ -20,7 +20,7 @@ from galen_model.arm.galen import (
     TRACKER_ROTATION_NOISE_RAD,
 )
 from galen_model.arrays import Array
-from galen_model.evidence.columns import moment_covariance
+from galen_model.calibrated.columns import moment_covariance
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.model import Load, ToolGeometry, gravity_regressor
 from galen_model.rotation import matrix_to_rotvec, skew

@@ -24,13 +24,13 @@ from galen_diagnosis.answer.answer import (
     Interval,
     Verdict,
 )
-from galen_diagnosis.answer.excluded import excluded_effects
-from galen_diagnosis.answer.gap import Gap, covariance, held_out_gap, parameters, unknowns_alone
 from galen_diagnosis.answer.localization import by_pose, localize
 from galen_diagnosis.effects.candidates import NEEDS_MOTION, NEEDS_TRACKER, sought
 from galen_diagnosis.experiment.next_experiment import Experiment, propose
 from galen_diagnosis.experiment.separation import Alternative
 from galen_diagnosis.inference.discrepancy import Discrepancies, answered
+from galen_diagnosis.inference.excluded import excluded_effects
+from galen_diagnosis.inference.gap import Gap, covariance, held_out_gap, parameters, unknowns_alone
 from galen_diagnosis.inference.posterior import (
     APART,
     Probabilities,

@@ -14,6 +14,7 @@ import numpy as np
 from galen_bags.arrays.arm_recording import ARM_FILE, ArmRecording, read_arm
 from galen_bags.arrays.marker_tracks import marker_track, read_poses
 from galen_bags.formats.bag import open_bag, robot_description
+from galen_bags.formats.errors import BagError
 from galen_bags.formats.files import is_bag
 from galen_model.arm.arm import MAX_URDF_BYTES, Arm
 from galen_model.arm.description import read_arm as read_description
@@ -25,7 +26,7 @@ from galen_model.files.calibration_file import (
     CalibrationFile,
     read_calibration,
 )
-from galen_model.files.json_fields import (
+from galen_model.json_fields import (
     FieldError,
     array,
     get,
@@ -42,7 +43,6 @@ from galen_sim_driver.effects.effect import Effect
 from galen_sim_driver.effects.joints import BaseInclination, JointZeroOffset
 from galen_sim_driver.effects.sensor import AxisGain, SensorMountRotation
 
-from galen_bags import BagError
 from galen_diagnosis.observation.rows import BAGS
 
 RECORDING_FILES = ("tool.json", ARM_FILE)

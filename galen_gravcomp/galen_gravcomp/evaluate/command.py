@@ -20,7 +20,7 @@ from galen_model.arm.galen import GALEN
 from galen_model.errors import CalibrationFileError, GalenError, IdentificationError
 from galen_model.evidence.verdict import Limits
 from galen_model.files.calibration_file import calibration_path, read_calibration, write_calibration
-from galen_model.load.mounting.mounting import entities
+from galen_model.load.mounting import entities
 from galen_model.setup_check.check import SetupError
 from galen_ros.arm import arm_parameters, chosen_arm
 from galen_ros.command import (

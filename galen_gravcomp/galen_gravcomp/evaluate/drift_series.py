@@ -29,6 +29,7 @@ from galen_bags.arrays.arm_recording import (
 )
 from galen_bags.arrays.tables import read_text_table
 from galen_bags.formats.bag import Bag, open_bag
+from galen_bags.formats.errors import BagError
 from galen_model.arm.arm import Arm
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
@@ -36,8 +37,6 @@ from galen_model.errors import GalenError
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.rest.binned import CellReducer, Cells
 from scipy.ndimage import median_filter
-
-from galen_bags import BagError
 
 CELL_S = 1.0
 _WINDOW_CELLS = 600

@@ -22,11 +22,11 @@ from galen_model.arm.arm import STANDARD_GRAVITY_M_S2
 from galen_model.arrays import Array
 from galen_model.errors import GalenError, IdentificationError
 from galen_model.evidence.block_gain import MOUNTED, PLAIN, ROBUST, Worth, compare
-from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
+from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.choice import ChosenLoad, choose_load, refit
 from galen_model.load.identification import SingleLoad, identify_single_load, plain_least_squares
-from galen_model.load.model import gravity_regressor
-from galen_model.load.mounting.identification import MountedLoad, identify_single_load_mounted
+from galen_model.load.model import LoadEstimate, gravity_regressor
+from galen_model.load.mounting_identification import MountedLoad, identify_single_load_mounted
 from galen_model.rest.segments import DirectionRest
 from galen_model.setup_check.check import SetupError, SetupFinding, check_setup
 from galen_model.setup_check.readings import fit_load

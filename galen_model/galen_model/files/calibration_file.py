@@ -21,7 +21,7 @@ from galen_model.arm.galen import GALEN, GRAVITY_M_S2
 from galen_model.arrays import Array
 from galen_model.errors import CalibrationFileError, ToolNameError
 from galen_model.files.atomic_file import write_whole
-from galen_model.files.json_fields import (
+from galen_model.json_fields import (
     CALIBRATION_FILE,
     FieldError,
     array,
@@ -42,8 +42,8 @@ from galen_model.files.json_fields import (
 )
 from galen_model.load.cable import LearnedPull
 from galen_model.load.inertia import InertiaEstimate
-from galen_model.load.model import Load, gravity_wrench
-from galen_model.load.mounting.mounting import Mounting
+from galen_model.load.model import LoadEstimate, gravity_wrench
+from galen_model.load.mounting import Mounting
 
 SCHEMA_VERSION = 2
 GRAVITY_TOLERANCE_M_S2 = 1e-3
@@ -54,30 +54,6 @@ _NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
 MAX_FILE_BYTES = 1_000_000
 _MODEL_KEYS = ("model", "model_reason")
 _AGES = ((86400.0, "day"), (3600.0, "hour"), (60.0, "minute"))
-
-
-@dataclass(frozen=True)
-class LoadEstimate:
-    """A load and the covariance (4, 4) of (mass, centre): kg and m."""
-
-    mass_kg: float
-    com_m: Array
-    covariance: Array
-
-    @property
-    def load(self) -> Load:
-        """The load without its uncertainty."""
-        return Load(self.mass_kg, self.com_m)
-
-    @property
-    def mass_std_kg(self) -> float:
-        """Standard deviation of the mass."""
-        return float(np.sqrt(self.covariance[0, 0]))
-
-    @property
-    def com_std_m(self) -> Array:
-        """Standard deviations (3,) of the centre."""
-        return np.sqrt(np.diag(self.covariance)[1:])
 
 
 @dataclass(frozen=True)

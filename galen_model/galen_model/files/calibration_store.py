@@ -40,7 +40,7 @@ from galen_model.files.calibration_file import (
     check_tool_name,
     parse_calibration,
 )
-from galen_model.files.json_fields import FieldError, read_limited
+from galen_model.json_fields import FieldError, read_limited
 
 _SUFFIX = ".json"
 _BACKUP = ".bak"

@@ -18,7 +18,8 @@ from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_ppf
 from galen_model.errors import GalenError
-from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
+from galen_model.files.calibration_file import CalibrationFile
+from galen_model.load.model import LoadEstimate
 from galen_model.poses.design import angle_limits
 
 _CONFIDENCE = 0.95

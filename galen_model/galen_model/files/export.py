@@ -28,10 +28,10 @@ from numpy.typing import ArrayLike
 
 from galen_model.arm.galen import TIP_FRAME
 from galen_model.arrays import Array
-from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
+from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.frames import FrameError, SensorInFrame, sensor_in_frame
 from galen_model.load.inertia import INERTIA_NAMES, inertia_matrix, inertia_numbers
-from galen_model.load.model import gravity_wrench
+from galen_model.load.model import LoadEstimate, gravity_wrench
 from galen_model.rotation import matrix_to_rotvec
 
 # Densest common material of a tool (steel, kg/m^3): the least that a body's inertia can be.

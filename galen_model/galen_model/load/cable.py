@@ -44,7 +44,7 @@ from scipy.linalg import cho_factor, cho_solve
 from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
-from galen_model.files.json_fields import (
+from galen_model.json_fields import (
     FieldError,
     array,
     get,

@@ -37,7 +37,6 @@ from galen_model.arm.arm import Arm
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.errors import IdentificationError, NotExcitedError
-from galen_model.files.calibration_file import LoadEstimate
 from galen_model.load.drifting_bias import (
     BiasDriftFit,
     BiasShape,
@@ -67,15 +66,17 @@ from galen_model.load.identification import (
     two_sweeps_result,
     zeroing_fault,
 )
-from galen_model.load.mounting.identification import (
+from galen_model.load.model import LoadEstimate
+from galen_model.load.mounting import Mounting, entities
+from galen_model.load.mounting_identification import (
     MountingProblem,
     one_sweep_problem,
     single_problem,
     two_sweeps_problem,
     zeroing_pose,
 )
-from galen_model.load.mounting.mounting import Mounting, entities
-from galen_model.load.mounting.reading_model import JointPoses, OrientedPoses
+from galen_model.load.pose_order import drift_warning
+from galen_model.load.reading_model import JointPoses, OrientedPoses
 from galen_model.load.robust_fit import (
     MIN_POSES_TO_REJECT,
     PRIOR_READINGS,
@@ -99,7 +100,6 @@ from galen_model.load.structure import (
     linear,
     time_blocks,
 )
-from galen_model.poses.order import drift_warning
 
 MARGIN = 0.2
 """Mean log residual by which one constant bias may be above another and count as equal.

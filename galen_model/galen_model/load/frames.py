@@ -21,7 +21,7 @@ from galen_model.arm.arm import Arm
 from galen_model.arm.galen import TIP_FRAME
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
-from galen_model.files.calibration_file import LoadEstimate
+from galen_model.load.model import LoadEstimate
 from galen_model.registration import move_wrench
 
 _Fixed = tuple[str, Array, Array]

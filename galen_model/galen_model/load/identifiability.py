@@ -31,7 +31,7 @@ import numpy as np
 from galen_model.arm.galen import GRAVITY_M_S2
 from galen_model.arrays import Array
 from galen_model.errors import NotExcitedError
-from galen_model.load.mounting.mounting import COMMON_ZERO, FORCE_GAIN, TORQUE_GAIN
+from galen_model.load.mounting import COMMON_ZERO, FORCE_GAIN, TORQUE_GAIN
 
 if TYPE_CHECKING:
     from galen_model.load.identification import StillPoses

@@ -31,14 +31,13 @@ from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_ppf
 from galen_model.errors import IdentificationError, NotExcitedError
-from galen_model.files.calibration_file import LoadEstimate
 from galen_model.load.identifiability import LOAD_PARAMETERS, check_excitation
-from galen_model.load.model import gravity_regressor
+from galen_model.load.model import LoadEstimate, gravity_regressor
 from galen_model.load.robust_fit import Prior, RobustFit, fit_robust
 
 if TYPE_CHECKING:
     from galen_model.load.drifting_bias import Shapes
-    from galen_model.load.mounting.mounting import Mounting
+    from galen_model.load.mounting import Mounting
 
 MIN_POSES = 4
 """Fewer still poses than this leave no residual worth the name."""

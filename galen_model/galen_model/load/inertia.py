@@ -32,7 +32,7 @@ from numpy.typing import ArrayLike
 
 from galen_model.arrays import Array
 from galen_model.errors import IdentificationError, NotExcitedError
-from galen_model.files.json_fields import FieldError, array, get, mapping, numbers
+from galen_model.json_fields import FieldError, array, get, mapping, numbers
 from galen_model.load.model import Load, gravity_regressor
 from galen_model.rotation import matrix_to_rotvec, skew
 

@@ -37,6 +37,30 @@ class Load:
         return np.concatenate([[self.mass_kg], self.mass_kg * np.asarray(self.com_m, dtype=float)])
 
 
+@dataclass(frozen=True)
+class LoadEstimate:
+    """A load and the covariance (4, 4) of (mass, centre): kg and m."""
+
+    mass_kg: float
+    com_m: Array
+    covariance: Array
+
+    @property
+    def load(self) -> Load:
+        """The load without its uncertainty."""
+        return Load(self.mass_kg, self.com_m)
+
+    @property
+    def mass_std_kg(self) -> float:
+        """Standard deviation of the mass."""
+        return float(np.sqrt(self.covariance[0, 0]))
+
+    @property
+    def com_std_m(self) -> Array:
+        """Standard deviations (3,) of the centre."""
+        return np.sqrt(np.diag(self.covariance)[1:])
+
+
 def gravity_regressor(gravity_sensor: ArrayLike) -> Array:
     """G (..., 6, 4) with W = G (m, h), for gravity in ft_sensor (..., 3), m/s^2."""
     gravity = np.asarray(gravity_sensor, dtype=float)

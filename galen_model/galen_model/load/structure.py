@@ -52,7 +52,7 @@ from galen_model.load.drifting_bias import (
     settle,
 )
 from galen_model.load.identifiability import LOAD_PARAMETERS, MAX_STD, check_excitation
-from galen_model.load.mounting.identification import MountingProblem
+from galen_model.load.mounting_identification import MountingProblem
 from galen_model.load.robust_fit import PRIOR_READINGS
 
 SHAPES = (

@@ -2,7 +2,7 @@
 
 The grid is over tilt and roll. The 2019 report sweeps 7 tilts x 8 rolls = 56 poses (class
 roBehaviorGravComp: tstart, tend, itersT, rstart, rend, itersR). The order of grid and chosen poses
-is that of `galen_model.poses.order`.
+is that of `galen_model.load.pose_order`.
 
 An arm of more than two revolute joints has no grid. Its candidates are spread evenly over a box
 around the present pose in which only the last joints before the sensor move, the fewest that do:
@@ -29,6 +29,7 @@ from galen_model.arm.routes import Router
 from galen_model.arrays import Array, evenly_spread
 from galen_model.errors import GalenError, NotExcitedError
 from galen_model.load.identification import check_planned_poses
+from galen_model.load.pose_order import MOST_ORDERED, best_order
 from galen_model.poses.design import (
     MOST_GRID_JOINTS,
     PoseDesign,
@@ -36,7 +37,6 @@ from galen_model.poses.design import (
     angle_grid,
     workspace,
 )
-from galen_model.poses.order import MOST_ORDERED, best_order
 
 # Rest-to-rest quintic s(x) = 10 x^3 - 15 x^4 + 6 x^5 over x = t/T in 0..1:
 # s' peaks at x = 1/2 with 15/8; s'' peaks at x = (3 -+ sqrt 3)/6 with 10/sqrt 3.

@@ -19,7 +19,7 @@ from galen_panel.messages.advice import (
     REJECTED,
     Advice,
 )
-from galen_panel.snapshot import (
+from galen_panel.state.snapshot import (
     Behaviour,
     BehaviourKind,
     LoadedTool,

@@ -9,7 +9,7 @@ from galen_model.evidence.verdict import CheckAnswer
 from galen_panel.messages import programs, texts
 from galen_panel.messages.advice import REJECTED
 from galen_panel.messages.programs import CALIBRATION, DRIVER, GRAVCOMP
-from galen_panel.snapshot import BehaviourKind, SuiteState
+from galen_panel.state.snapshot import BehaviourKind, SuiteState
 
 _NO_STREAM = frozenset({*REJECTED, "silent", "waiting", "incompatible_qos"}) - {"disabled"}
 """States of gravcomp in which the arm's data doesn't come as it should."""

@@ -22,10 +22,10 @@ from nicegui import events, ui
 from nicegui.awaitable_response import AwaitableResponse
 from nicegui.elements.scene import Object3D
 
-from galen_panel.history import NS_PER_S, StreamSeries
 from galen_panel.page.page import Page
-from galen_panel.shapes import GREY, Drawing
-from galen_panel.snapshot import SuiteState
+from galen_panel.state.history import NS_PER_S, StreamSeries
+from galen_panel.state.shapes import GREY, Drawing
+from galen_panel.state.snapshot import SuiteState
 
 Part = dict[str, Any]
 Placement = dict[str, list[float] | None]

@@ -12,7 +12,7 @@ from nicegui import ui
 from galen_panel.messages import programs, texts
 from galen_panel.page.outcome import OutcomeView
 from galen_panel.page.page import Page, confirmed, heading
-from galen_panel.snapshot import BehaviourKind, Goal, SuiteState
+from galen_panel.state.snapshot import BehaviourKind, Goal, SuiteState
 
 AREA_CLEAR = "Area clear: calibrate"
 

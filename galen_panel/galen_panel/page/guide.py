@@ -11,7 +11,7 @@ from galen_panel.messages import programs
 from galen_panel.messages.steps import Step, current, steps
 from galen_panel.page.page import Page, confirmed, pick_class
 from galen_panel.page.tools import new_tool
-from galen_panel.snapshot import BehaviourKind, CallAnswer, Goal, SuiteState
+from galen_panel.state.snapshot import BehaviourKind, CallAnswer, Goal, SuiteState
 
 _PERIOD_S = 1.0
 _NUMBER = 5

@@ -14,7 +14,7 @@ from galen_panel.messages import programs, texts
 from galen_panel.messages.programs import compensates, overall
 from galen_panel.page import behaviours, guide, live, nodes, recordings, tools
 from galen_panel.page.page import LOOKS, Page, pick_class, set_prop
-from galen_panel.snapshot import Asked, Behaviour, BehaviourKind, LoadedTool, SuiteState
+from galen_panel.state.snapshot import Asked, Behaviour, BehaviourKind, LoadedTool, SuiteState
 
 STYLE = Path(__file__).with_name("panel.css")
 _TABS = (

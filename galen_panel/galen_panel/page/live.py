@@ -20,14 +20,6 @@ import numpy as np
 from galen_model.arrays import Array
 from nicegui import run, ui
 
-from galen_panel.history import (
-    NS_PER_S,
-    StreamSamples,
-    StreamSeries,
-    bucket_ns,
-    csv,
-    plot_rows,
-)
 from galen_panel.page.arm import ArmView
 from galen_panel.page.page import Page
 from galen_panel.page.plot_options import (
@@ -39,6 +31,14 @@ from galen_panel.page.plot_options import (
     options,
     time_span,
     wrench_curves,
+)
+from galen_panel.state.history import (
+    NS_PER_S,
+    StreamSamples,
+    StreamSeries,
+    bucket_ns,
+    csv,
+    plot_rows,
 )
 
 WINDOWS_S = (10, 30, 60, 120)

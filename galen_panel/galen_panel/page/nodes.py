@@ -10,7 +10,7 @@ from nicegui import ui
 
 from galen_panel.messages.programs import PROGRAMS, Words, others, words_of, words_of_other
 from galen_panel.page.page import LOOKS, Page
-from galen_panel.snapshot import NodeLevel
+from galen_panel.state.snapshot import NodeLevel
 
 # Nodes tell their state once a second; one that falls silent is seen by time alone.
 _PERIOD_S = 1.0

@@ -11,7 +11,7 @@ from nicegui import ui
 
 from galen_panel.messages import programs, texts
 from galen_panel.page.page import Page, confirmed, pick_class, table
-from galen_panel.snapshot import (
+from galen_panel.state.snapshot import (
     LOST,
     BehaviourKind,
     BehaviourOutcome,

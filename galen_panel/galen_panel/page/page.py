@@ -12,7 +12,7 @@ from nicegui import ui
 from nicegui.elements.mixins.disableable_element import DisableableElement
 
 from galen_panel.recordings.recordings import Recordings
-from galen_panel.snapshot import CallAnswer, NodeLevel, SuiteState
+from galen_panel.state.snapshot import CallAnswer, NodeLevel, SuiteState
 
 if TYPE_CHECKING:
     from galen_panel.ros.suite import RosSuite

@@ -22,7 +22,7 @@ from galen_panel.recordings.reports import (
     REPORTS_PATH,
     StoredReport,
 )
-from galen_panel.snapshot import CallAnswer
+from galen_panel.state.snapshot import CallAnswer
 
 _STYLE = Path(__file__).with_suffix(".css")
 _LISTED = 30

@@ -19,7 +19,7 @@ from galen_panel.page.page import (
     pick_class,
     set_prop,
 )
-from galen_panel.snapshot import BehaviourKind, CallAnswer, ListedTool, LoadedTool, SuiteState
+from galen_panel.state.snapshot import BehaviourKind, CallAnswer, ListedTool, LoadedTool, SuiteState
 
 
 def build(page: Page) -> None:

@@ -24,7 +24,7 @@ from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError, one_line
 
 from galen_panel.recordings.reports import Reports
-from galen_panel.snapshot import CallAnswer
+from galen_panel.state.snapshot import CallAnswer
 
 MOST_WAITING = 20
 _MOST_ENDED = 20

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
+from galen_bags.formats.errors import BagError
 from galen_bags.formats.files import find_bags, read_metadata, storage_files
 from galen_diagnosis.observation.rows import BAGS
 from galen_model.arm.arm import Arm
@@ -22,11 +23,10 @@ from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError, one_line
 from galen_model.files.calibration_store import CalibrationStore
 
-from galen_bags import BagError
 from galen_panel.messages import texts
 from galen_panel.recordings.jobs import Jobs, Wanted
 from galen_panel.recordings.reports import Reports
-from galen_panel.snapshot import CallAnswer
+from galen_panel.state.snapshot import CallAnswer
 
 TOOL_BESIDE = "tool.json"
 BESIDE = "beside"

@@ -20,13 +20,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from galen_model.errors import GalenError
-from galen_model.files.json_fields import parse_json, read_limited
+from galen_model.json_fields import parse_json, read_limited
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response
 
-from galen_panel.snapshot import NodeLevel
+from galen_panel.state.snapshot import NodeLevel
 
 REPORT = "report.json"
 EVALUATION, EVALUATION_PAGE, PICTURE = "evaluation.json", "evaluation.html", "evaluation.png"

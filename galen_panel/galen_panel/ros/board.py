@@ -19,7 +19,7 @@ from galen_msgs.msg import ActiveTool
 from galen_msgs.srv import CompareTools, ListTools, RemoveTool, RevertTool, SetTool
 from galen_panel.messages.programs import DRIVER, GRAVCOMP, OFFERED_BY, Program
 from galen_panel.ros.thread import CallError, Calls
-from galen_panel.snapshot import (
+from galen_panel.state.snapshot import (
     Behaviour,
     BehaviourKind,
     ListedTool,

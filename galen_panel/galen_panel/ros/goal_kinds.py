@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, get_args
 
-from galen_calibration_behavior.commands import (
+from galen_calibration_behavior.common.commands import (
     CALIBRATION_PHASES,
     CHECK_PHASES,
     CalibrationCode,
@@ -24,7 +24,7 @@ from galen_ros.goal.client import result_to_dict
 from galen_msgs.action import CalibrateTool, CheckTool, CollectPushes
 from galen_panel.messages.programs import CALIBRATION, COLLECTION, NAMES, Program
 from galen_panel.ros.thread import CallError
-from galen_panel.snapshot import Asked, BehaviourKind, BehaviourOutcome, Goal
+from galen_panel.state.snapshot import Asked, BehaviourKind, BehaviourOutcome, Goal
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from unique_identifier_msgs.msg import UUID
 from galen_panel.ros.board import Board, Presence
 from galen_panel.ros.goal_kinds import GoalKind, rejected_pose
 from galen_panel.ros.thread import CallError, Calls, Reply, RosThread
-from galen_panel.snapshot import (
+from galen_panel.state.snapshot import (
     LOST,
     Asked,
     Behaviour,

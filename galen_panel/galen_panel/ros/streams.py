@@ -30,7 +30,7 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 
 from galen_msgs.msg import DeflectionStamped
-from galen_panel.history import History, StreamSeries
+from galen_panel.state.history import History, StreamSeries
 
 _DEPTH = 200
 """0.4 s at 500 Hz; what a busy panel loses is only missing in its plots."""

@@ -21,15 +21,15 @@ from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
 from galen_msgs.srv import CompareTools, RemoveTool, RevertTool, SetTool
-from galen_panel.history import History
 from galen_panel.messages.programs import CALIBRATION
 from galen_panel.ros.board import Board, Presence, Tools, comparison, hear_reports
 from galen_panel.ros.goal_kinds import KINDS
 from galen_panel.ros.goals import GoalFollower
 from galen_panel.ros.streams import Streams
 from galen_panel.ros.thread import Calls, RosThread
-from galen_panel.shapes import draw
-from galen_panel.snapshot import (
+from galen_panel.state.history import History
+from galen_panel.state.shapes import draw
+from galen_panel.state.snapshot import (
     BehaviourKind,
     CallAnswer,
     Goal,

@@ -9,7 +9,7 @@ from galen_model.arrays import Array
 from galen_model.load.identification import StillPoses
 from galen_ros.goal.procedure import End, MoveTo, Stop
 
-from galen_calibration_behavior.quick_check.decision import QuickCheck
+from galen_calibration_behavior.common.check_decision import QuickCheck
 
 
 class CalibrationState(IntEnum):

@@ -27,14 +27,14 @@ from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import (
     CalibrationFile,
-    LoadEstimate,
     identity,
     parse_calibration,
     zeroed_at,
 )
-from galen_model.files.json_fields import LONGEST_SENTENCE
+from galen_model.json_fields import LONGEST_SENTENCE
 from galen_model.load.inertia import point_mass_inertia
-from galen_model.load.mounting.mounting import Mounting
+from galen_model.load.model import LoadEstimate
+from galen_model.load.mounting import Mounting
 from galen_model.rotation import about, matrix_to_rotvec, rot_x, rot_y, rotvec_to_matrix
 from galen_sim_driver.effects.effect import Effect
 from galen_sim_driver.effects.joints import (

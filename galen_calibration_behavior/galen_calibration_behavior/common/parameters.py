@@ -10,8 +10,8 @@ from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.load.identification import check_planned_poses
-from galen_model.load.mounting.identification import check_planned_mounting
-from galen_model.load.mounting.mounting import entities
+from galen_model.load.mounting import entities
+from galen_model.load.mounting_identification import check_planned_mounting
 from galen_model.poses.plan import (
     Surroundings,
     SweepPlan,
@@ -25,7 +25,7 @@ from galen_model.poses.plan import (
 from galen_ros.goal.parameters import PoseParameters
 from galen_ros.parameters import ParameterError, param
 
-from galen_calibration_behavior.quick_check.decision import FEWEST_POSES, CheckLimits
+from galen_calibration_behavior.common.check_decision import FEWEST_POSES, CheckLimits
 
 MAX_ITERS = 100  # so that the feedback's counts of poses, uint16, hold two sweeps
 MAX_CHOSEN = 60  # more take long to choose and to order, and are no better than a grid

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Literal
 
-from galen_panel.shapes import Drawing
+from galen_panel.state.shapes import Drawing
 
 Vector = tuple[float, ...]
 

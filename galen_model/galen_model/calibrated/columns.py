@@ -16,8 +16,8 @@ from __future__ import annotations
 import numpy as np
 
 from galen_model.arrays import Array
-from galen_model.files.calibration_file import CalibrationFile, LoadEstimate
-from galen_model.load.model import gravity_regressor, gravity_wrench
+from galen_model.files.calibration_file import CalibrationFile
+from galen_model.load.model import LoadEstimate, gravity_regressor, gravity_wrench
 from galen_model.rotation import skew
 
 _STEP_RAD = 1e-4

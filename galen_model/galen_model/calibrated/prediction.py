@@ -8,7 +8,7 @@ import numpy as np
 from galen_model.arm.arm import Arm
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import CalibrationFile
-from galen_model.load.mounting.mounting import Mounting
+from galen_model.load.mounting import Mounting
 
 _BLOCK = 4096
 """Samples; with all that is worked out of them some 0.7 MB."""
@@ -22,7 +22,7 @@ class Prediction:
         reading = A u + c,   u = R_base_sensor^T d,
 
     with gravity's direction d in the base's frame, the arm's for a level base, and angles that
-    hold the joints' zeros (`galen_model.load.mounting.mounting`). A (6, 3) and c (6,) are read off
+    hold the joints' zeros (`galen_model.load.mounting`). A (6, 3) and c (6,) are read off
     the file's own `predict_under`, so that the physics, and a turned sensor's gains, stay in one
     place.
     """

@@ -1,6 +1,6 @@
 """Loads, offsets and chosen parameters of the mounting together, from still poses.
 
-Gauss-Newton: the model (`galen_model.load.mounting.reading_model`) is made linear at the last
+Gauss-Newton: the model (`galen_model.load.reading_model`) is made linear at the last
 values and each step is a whole robust fit (`galen_model.load.robust_fit`), so that outliers, the
 channels' noise and the covariance are those of the fits without a mounting. Before and after,
 `identifiability` rejects parameters that the poses don't identify. No parameter of the mounting has
@@ -47,8 +47,8 @@ from galen_model.load.identification import (
     two_sweeps_result,
 )
 from galen_model.load.model import gravity_regressor, gravity_wrench
-from galen_model.load.mounting.mounting import Entity, Mounting, entities
-from galen_model.load.mounting.reading_model import (
+from galen_model.load.mounting import Entity, Mounting, entities
+from galen_model.load.reading_model import (
     JointPoses,
     MountedSweep,
     OrientedPoses,

@@ -35,7 +35,7 @@ from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN, WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.errors import IdentificationError
-from galen_model.files.json_fields import FieldError, array, get, mapping, number, numbers, texts
+from galen_model.json_fields import FieldError, array, get, mapping, number, numbers, texts
 from galen_model.rotation import rotvec_to_matrix
 
 _PARAMETERS = (

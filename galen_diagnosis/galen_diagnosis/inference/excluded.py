@@ -30,7 +30,6 @@ from scipy.optimize import brentq
 from scipy.sparse import hstack
 
 from galen_diagnosis.answer.answer import NO_GAP, UNKNOWN, Excluded, FoundCause
-from galen_diagnosis.answer.gap import told
 from galen_diagnosis.effects.candidates import (
     NEEDS_MOTION,
     NEEDS_TRACKER,
@@ -38,6 +37,7 @@ from galen_diagnosis.effects.candidates import (
     sought,
 )
 from galen_diagnosis.effects.forms import Forms
+from galen_diagnosis.inference.gap import told
 from galen_diagnosis.inference.posterior import Scored, Settings, posterior
 from galen_diagnosis.inference.refine import Hypothesis
 from galen_diagnosis.observation.observation import UNKNOWNS, Observation

@@ -2,7 +2,7 @@
 
     h_i = M [G(u_i) x_i - G(u_0) x_adapter] + o,   x_i: what hangs on the sensor at pose i
 
-(see `galen_model.load.mounting.mounting` for M and u, `galen_model.load.model` for G and x = (m,
+(see `galen_model.load.mounting` for M and u, `galen_model.load.model` for G and x = (m,
 h)). The columns of the Jacobian: M G(u) by x, 1 by o; by a gain the element's own reading e = M w
 / (1 + g); by the rotation vector diag(1 + g) [e_f^ ; e_t^] J_r, since S(rho + d)^T w = exp(-(J_r
 d)^) S^T w with the right Jacobian J_r of the rotation group (Sola, Deray, Atchuthan, *A micro Lie
@@ -18,7 +18,7 @@ import numpy as np
 from galen_model.arm.arm import Arm
 from galen_model.arrays import Array
 from galen_model.load.model import gravity_regressor
-from galen_model.load.mounting.mounting import ZEROS, Entity, Mounting
+from galen_model.load.mounting import ZEROS, Entity, Mounting
 from galen_model.rotation import skew
 
 _X, _Y, _ = np.eye(3)

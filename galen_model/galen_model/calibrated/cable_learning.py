@@ -28,9 +28,10 @@ from scipy.optimize import minimize
 from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
+from galen_model.calibrated.columns import load_and_offset
+from galen_model.calibrated.inertia_identification import OTHER_MASS
 from galen_model.errors import IdentificationError, NotExcitedError
 from galen_model.evidence.block_gain import block_gain
-from galen_model.evidence.columns import load_and_offset
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.cable import (
     FORMS,
@@ -43,7 +44,6 @@ from galen_model.load.cable import (
     groups,
     together,
 )
-from galen_model.load.inertia_identification import OTHER_MASS
 from galen_model.rotation import skew
 
 # Priors: mean and standard deviation of the logarithms, of length_rad (each), length_m, amplitude

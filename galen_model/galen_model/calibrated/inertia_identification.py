@@ -38,13 +38,13 @@ from scipy.signal import butter, sosfiltfilt
 from galen_model.arm.arm import Arm
 from galen_model.arm.sensor_motion import sensor_motion
 from galen_model.arrays import Array
+from galen_model.calibrated.columns import moment_covariance
 from galen_model.distributions import chi2_sf
 from galen_model.errors import IdentificationError, NotExcitedError
-from galen_model.evidence.columns import moment_covariance
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.inertia import INERTIA_NAMES, InertiaEstimate, inertial_regressor
 from galen_model.load.model import gravity_regressor
-from galen_model.load.mounting.mounting import Mounting
+from galen_model.load.mounting import Mounting
 
 CUTOFF_HZ = 10.0
 """The arm's own motion is below 5 Hz."""

@@ -26,7 +26,7 @@ at worst, anywhere in the range of its angles? Only what is beyond a limit there
 be noise is called a change. Where noise alone could be beyond a limit, nothing can be told.
 Two poses tell (d, b) at best; the more there are beyond, the more is told of what is neither.
 
-A cause (`galen_model.evidence.columns`) explains the rest if, fitted beside load and offset, it
+A cause (`galen_model.calibrated.columns`) explains the rest if, fitted beside load and offset, it
 leaves only noise; what all three then make of a compensation decides whether it matters.
 """
 
@@ -37,9 +37,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from galen_model.arrays import Array
+from galen_model.calibrated import columns
+from galen_model.calibrated.columns import moment_covariance
 from galen_model.distributions import chi2_isf, chi2_sf, noncentral_chi2_sf, normal_ppf
-from galen_model.evidence import columns
-from galen_model.evidence.columns import moment_covariance
 from galen_model.evidence.linear import chance
 from galen_model.evidence.verdict import (
     MESSAGES,
@@ -51,12 +51,12 @@ from galen_model.evidence.verdict import (
 )
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.model import gravity_regressor, gravity_wrench
-from galen_model.load.mounting.mounting import Mounting
+from galen_model.load.mounting import Mounting
 from galen_model.poses.design import workspace
 from galen_model.rest.segments import PoseRecord
 from scipy.optimize import brentq
 
-from galen_calibration_behavior.calibration.sweep import stack
+from galen_calibration_behavior.common.sweep import stack
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,7 @@
+"""What goes wrong with a bag."""
+
+from galen_model.errors import GalenError
+
+
+class BagError(GalenError):
+    """A bag that can't be read or written; the message names it and gives the reason."""

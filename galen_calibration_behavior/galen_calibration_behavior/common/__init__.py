@@ -1,0 +1,1 @@
+"""What the procedures share: commands, parameters, the check's decision."""

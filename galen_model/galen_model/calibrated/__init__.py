@@ -1,0 +1,1 @@
+"""What follows from a calibration file: readings, how causes change them, cable and inertia."""

@@ -1,1 +1,0 @@
-"""The sensor's rotation and gains, the base's inclination, the joints' zeros."""

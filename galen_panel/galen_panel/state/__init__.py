@@ -1,0 +1,1 @@
+"""What the page shows: the suite's state, the streams' history, the arm's drawing."""
