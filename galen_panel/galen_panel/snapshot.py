@@ -9,11 +9,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
+from pathlib import Path
 from typing import Literal
 
 from galen_panel.shapes import Drawing
 
 Vector = tuple[float, ...]
+
+TOOLS_DIR = Path("~/.ros/galen/tools")
+"""Where nodes look for calibration files, if nothing else is given."""
 
 
 class NodeLevel(Enum):
@@ -142,6 +146,7 @@ class SuiteState:
 
     available holds names as in the contract: `gravcomp/set_tool`, `calibrate_tool`, `attach_tool`.
     namespace: the panel's own, without slashes at its ends; nodes of others are another arm's.
+    given: in what its parameters and names differ from the defaults: flag (-p, -r), name:=value.
     drawing: the arm, None until its description came; arm_problem: why it lacks or may be wrong.
     """
 
@@ -154,8 +159,18 @@ class SuiteState:
     behaviours: Mapping[BehaviourKind, Behaviour] = field(default_factory=dict)
     available: frozenset[str] = frozenset()
     namespace: str = ""
+    given: tuple[tuple[str, str], ...] = ()
     drawing: Drawing | None = None
     arm_problem: str = ""
+
+    @property
+    def ros_arguments(self) -> list[tuple[str, str]]:
+        """Return what starts a node as the panel: namespace, `given`, directory of tools."""
+        found = [("-r", f"__ns:=/{self.namespace}")] if self.namespace else []
+        found += self.given
+        if self.tools_dir not in ("", str(TOOLS_DIR.expanduser())):
+            found.append(("-p", f"tools_dir:={self.tools_dir}"))
+        return found
 
     def full_name(self, node: str) -> str:
         """Return the name on /diagnostics of a node in the panel's own namespace."""

@@ -7,6 +7,7 @@ by it, never guessed from sentences. What it tells beside that (names, numbers) 
 from __future__ import annotations
 
 import math
+import shlex
 from dataclasses import dataclass, replace
 
 from galen_panel.messages import texts
@@ -34,7 +35,7 @@ class Program:
     """A part of the suite; `node` is its node's name on /diagnostics.
 
     offers: a service or action of it, as in `State.available`. needed: whether nothing works
-    without it.
+    without it. lacks: parameters of `State.ros_arguments` that it does not have.
     """
 
     node: str
@@ -44,15 +45,22 @@ class Program:
     purpose: str
     offers: str = ""
     needed: bool = False
+    lacks: tuple[str, ...] = ()
 
-    def start(self, namespace: str = "") -> str:
-        """Return the command that starts it in a namespace."""
-        remap = f" --ros-args -r __ns:=/{namespace}" if namespace else ""
-        return f"ros2 run {self.package} {self.executable}{remap}"
+    def start(self, state: SuiteState) -> str:
+        """Return the command that starts it, with the panel's arm, names and directory of tools."""
+        given = [
+            word
+            for flag, text in state.ros_arguments
+            if text.split(":=")[0] not in self.lacks
+            for word in (flag, text)
+        ]
+        ros = ["--ros-args", *given] if given else []
+        return shlex.join(["ros2", "run", self.package, self.executable, *ros])
 
-    def absent(self, namespace: str = "") -> str:
+    def absent(self, state: SuiteState) -> str:
         """Say that it is missing, and what to do."""
-        return f"{self.executable} isn't running. Start it: {self.start(namespace)}"
+        return f"{self.executable} isn't running. Start it: {self.start(state)}"
 
 
 DRIVER = Program(
@@ -61,6 +69,7 @@ DRIVER = Program(
     "Moves the arm and reads its sensor.",
     offers="attach_tool",
     needed=True,
+    lacks=("use_robot_description", "tools_dir"),
 )
 GRAVCOMP = Program(
     *("gravcomp", "galen_gravcomp", "gravcomp_node"),
@@ -79,6 +88,7 @@ DEFLECTION = Program(
     *("deflection", "galen_deflection", "deflection_node"),
     "Deflection",
     "Predicts how far the arm bends.",
+    lacks=("tools_dir",),
 )
 COLLECTION = Program(
     *("collection", "galen_deflection", "collection_node"),
@@ -114,7 +124,7 @@ NAMES = {
 
 def missing(state: SuiteState, name: str) -> str:
     """Say what to do where that service or action isn't there; empty where it is."""
-    return "" if name in state.available else OFFERED_BY[name].absent(state.namespace)
+    return "" if name in state.available else OFFERED_BY[name].absent(state)
 
 
 def title(behaviour: Behaviour) -> str:
@@ -257,7 +267,7 @@ _RANK = {NodeLevel.OK: 0, NodeLevel.WARN: 1, NodeLevel.STALE: 2, NodeLevel.ERROR
 
 
 def _absent(state: SuiteState, program: Program, report: NodeReport | None, now_s: float) -> Words:
-    command = program.start(state.namespace)
+    command = program.start(state)
     start = f"Start it: {command}"
     if program is DRIVER:
         start = f"Start the arm's driver. For a simulated arm: {command}"
