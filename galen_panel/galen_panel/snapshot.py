@@ -7,7 +7,7 @@ higher `revision`. So that a thread may read it while the next one is made.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
 from typing import Literal
@@ -81,13 +81,24 @@ class LoadedTool:
 
 @dataclass(frozen=True)
 class NodeReport:
-    """A node's newest report on /diagnostics; heard_s: time.monotonic() of it."""
+    """A node's newest report on /diagnostics; heard_s: time.monotonic() of it.
+
+    period_s: the longest between two of late, 1 s where all is well.
+    """
 
     name: str
     level: NodeLevel
     message: str
     values: Mapping[str, str]
     heard_s: float
+    period_s: float = 1.0
+
+    def after(self, before: NodeReport | None) -> NodeReport:
+        """Return it with the period, given the report before."""
+        if before is None:
+            return self
+        late_s = min(2.0, self.heard_s - before.heard_s)
+        return replace(self, period_s=max(1.0, late_s, 0.9 * before.period_s))
 
 
 LOST = "LOST"

@@ -29,6 +29,10 @@ from galen_panel.snapshot import (
     SuiteState,
 )
 
+SILENT_S = 3.0
+"""A node that lives tells its state once a second."""
+_GRAVCOMP_SILENT_PERIODS = 1.5
+
 
 @dataclass(frozen=True)
 class Program:
@@ -189,10 +193,6 @@ def _sweep_s(state: SuiteState) -> float:
         return math.nan
 
 
-SILENT_S = 3.0
-"""A node that lives tells its state once a second."""
-
-
 @dataclass(frozen=True)
 class Words:
     """Of one node. doing: a sentence; todo: what to do, empty where nothing is; said: its message.
@@ -218,7 +218,7 @@ def others(state: SuiteState) -> list[NodeReport]:
 def words_of(state: SuiteState, program: Program, now_s: float) -> Words:
     """Say what a program's node is doing. now_s: time.monotonic()."""
     report = state.report_of(program.node)
-    if report is None or now_s - report.heard_s > SILENT_S:
+    if report is None or _silent(report, program, now_s):
         return _absent(state, program, report, now_s)
     calibration = state.behaviours.get(BehaviourKind.CALIBRATE)
     calibrating = calibration is not None and calibration.running
@@ -236,6 +236,12 @@ def words_of_other(report: NodeReport, now_s: float) -> Words:
             NodeLevel.STALE, _silence(silent_s), "Start it again if it is needed.", "", False
         )
     return _own_words(report)
+
+
+def _silent(report: NodeReport, program: Program, now_s: float) -> bool:
+    # A compensation must not be believed in for long; a busy machine makes reports late.
+    limit_s = _GRAVCOMP_SILENT_PERIODS * report.period_s if program is GRAVCOMP else SILENT_S
+    return now_s - report.heard_s > limit_s
 
 
 def compensates(state: SuiteState, now_s: float) -> bool:
@@ -300,7 +306,7 @@ def _silence(silent_s: float) -> str:
 
 def _other_drivers(state: SuiteState, now_s: float) -> str:
     report = state.report_of(GRAVCOMP.node)
-    if report is None or now_s - report.heard_s > SILENT_S:
+    if report is None or _silent(report, GRAVCOMP, now_s):
         return ""
     return report.values.get("wrench_raw_publisher_nodes", "")
 
