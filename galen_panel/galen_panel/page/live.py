@@ -32,9 +32,9 @@ from galen_panel.page.arm import ArmView
 from galen_panel.page.page import Page
 from galen_panel.page.plot_options import (
     DEFLECTION_NAMES,
-    HEIGHT_PX,
     deflection_curves,
     headings,
+    heights,
     look,
     options,
     time_span,
@@ -131,7 +131,7 @@ class Plots:
             self._csv = ui.button("CSV", icon="download", on_click=self._save_csv)
             self._csv.props('data-testid=csv no-caps outline aria-label="Save as CSV"')
             self._csv.tooltip("All samples of the window, at full rate")
-        with ui.element("div").classes("live-plots").style(f"height:{HEIGHT_PX}px"):
+        with ui.element("div").classes("live-plots").style(heights()):
             self._chart = ui.echart(options(self._window_s)).classes("live-chart")
             self._chart.props(
                 'data-testid=plot role=img aria-label="Forces, torques and deflection over time;'
