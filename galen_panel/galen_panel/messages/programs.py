@@ -251,6 +251,26 @@ def compensates(state: SuiteState, now_s: float) -> bool:
     return wanted and not words_of(state, GRAVCOMP, now_s).stopped
 
 
+# By the first words of gravcomp's value `setup`; what follows a colon is put in.
+_SETUP = {
+    "verified": "Set-up verified: at rest the readings fit the tool's weight in several"
+    " orientations.",
+    "not yet verified": "Set-up not verified yet: {}. Let the arm rest in other orientations,"
+    " without contact.",
+    "wrong": "The set-up is wrong: {}. " + REJECTED["wrong_setup"].todo,
+    "not checked": "Set-up not checked: {}.",
+}
+
+
+def setup_sentence(state: SuiteState, now_s: float) -> str:
+    """Say whether readings at rest fit axes, signs and units; empty where gravcomp is silent."""
+    report = state.report_of(GRAVCOMP.node)
+    if report is None or _silent(report, GRAVCOMP, now_s):
+        return ""
+    found, _, detail = report.values.get("setup", "").partition(": ")
+    return _SETUP.get(found, "").format(detail.rstrip("."))
+
+
 def overall(state: SuiteState, now_s: float) -> tuple[NodeLevel, str]:
     """Choose the worst report; compensation that puts out nothing goes first."""
     words = {program: words_of(state, program, now_s) for program in PROGRAMS}

@@ -28,6 +28,7 @@ from galen_panel.history import (
     csv,
     plot_rows,
 )
+from galen_panel.messages.programs import setup_sentence
 from galen_panel.page.arm import ArmView
 from galen_panel.page.page import Page
 from galen_panel.page.plot_options import (
@@ -60,6 +61,7 @@ def build(page: Page, shown: Callable[[], bool]) -> None:
         ui.add_head_html(f"<script>{(_HERE / script).read_text()}</script>")
     client = ui.context.client
     listening: list[ExitStack] = []
+    setup = ui.label().classes("panel-path q-mb-sm").props("role=status data-testid=setup")
     with ui.element("div").classes("live-columns"):
         with ui.element("section").classes("live-left").props('aria-label="Plots"'):
             plots = Plots(page)
@@ -75,6 +77,7 @@ def build(page: Page, shown: Callable[[], bool]) -> None:
             listening.pop().close()
 
     def look() -> None:
+        setup.set_text(setup_sentence(page.suite.state, time.monotonic()))
         seen = shown() and client.has_socket_connection
         if seen == bool(listening):
             return
