@@ -21,6 +21,9 @@ class Recorded:
     def __eq__(self, other):
         return vars(self) == vars(other)
 
+    def perform(self, context):
+        return context[self.arguments[0]]
+
 
 class Recorder(ModuleType):
     """A module whose classes only record how they were called."""
@@ -39,9 +42,18 @@ def launched(monkeypatch):
         for name in (package, *(f"{package}.{module}" for module in modules)):
             monkeypatch.setitem(sys.modules, name, Recorder(name))
 
-    def nodes(name):
+    def nodes(name, **given):
+        """With arguments given, those nodes that need some to be made."""
         made = runpy.run_path(str(LAUNCH / name))["generate_launch_description"]().arguments[0]
-        return {one.options["executable"]: one.options for one in made if one.kind == "Node"}
+        if given:
+            made = [
+                new
+                for one in made
+                if one.kind == "OpaqueFunction"
+                for new in one.options["function"](given)
+            ]
+        said = {one.kind: one.options for one in made if one.kind == "LogInfo"}
+        return said | {one.options["executable"]: one.options for one in made if one.kind == "Node"}
 
     return nodes
 
@@ -73,6 +85,34 @@ def test_every_node_is_told_which_arm_it_is(launched, name):
         for asked, given in told.items():
             assert parameter(node, asked).arguments == (argument(given),)
     assert told.keys() <= set(param_fields(ArmParameters))
+
+
+def test_the_simulated_arm_starts_where_it_is_asked_to(launched):
+    driver = launched("simulation.launch.py")["sim_driver_node"]
+    assert parameter(driver, "start_joints").arguments == (argument("start_joints"),)
+
+
+ARM = {"urdf": "", "base_frame": "", "sensor_frame": "ft_sensor"}
+
+
+def test_the_viewer_that_is_not_installed_is_named_with_the_remedy(launched, monkeypatch, tmp_path):
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
+    (said,) = launched("simulation.launch.py", **ARM).values()
+    assert "apt install ros-jazzy-robot-state-publisher ros-jazzy-rviz2" in said["msg"]
+
+
+@pytest.mark.parametrize("urdf", ["", str(LAUNCH.parent / "urdf/six_axis.urdf")])
+def test_the_viewer_has_the_arm_s_description_and_frame(launched, monkeypatch, tmp_path, urdf):
+    index = tmp_path / "share/ament_index/resource_index/packages"
+    index.mkdir(parents=True)
+    for name in ("robot_state_publisher", "rviz2"):
+        (index / name).touch()
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
+    nodes = launched("simulation.launch.py", **ARM | {"urdf": urdf})
+    (text,) = parameter(nodes["robot_state_publisher"], "robot_description").arguments
+    arm = ArmParameters(urdf_file=urdf).arm()
+    assert text == arm.urdf and arm.name in text
+    assert nodes["rviz2"]["arguments"][-2:] == ["-f", arm.base_frame]
 
 
 @pytest.mark.parametrize("name", ["simulation.launch.py", "robot.launch.py"])

@@ -13,6 +13,8 @@ from pathlib import Path
 
 from galen_ros.command import make_parser
 
+from galen_panel.state.snapshot import TOOLS_DIR
+
 TOKEN_VARIABLE = "GALEN_PANEL_TOKEN"
 # What needs no quoting in a link or a cookie.
 _TOKEN = re.compile(r"[A-Za-z0-9_.~-]{16,}")
@@ -81,7 +83,7 @@ def read_options(arguments: list[str], environment: dict[str, str] | None = None
     parser.add_argument(
         "--tools-dir",
         type=_path,
-        default="~/.ros/galen/tools",
+        default=str(TOOLS_DIR),
         metavar="DIR",
         help="calibration files that recordings are evaluated with (default: %(default)s)",
     )

@@ -59,7 +59,7 @@ def main() -> None:
     from galen_panel.server import serve
 
     try:
-        with RosSuite(sys.argv) as suite:
+        with RosSuite(sys.argv, options.tools_dir) as suite:
             serve(suite, options, suite.close)
     except GalenError as error:
         print(f"panel: {error}", file=sys.stderr)

@@ -55,6 +55,27 @@ while (walk.nextNode()) {
 return found;
 """
 
+# A text may be wider than its element, and a clipped one is longer.
+_COLLISIONS = """
+const found = [...document.querySelectorAll(arguments[0])].filter(one => one.checkVisibility()
+  && !one.closest('.q-icon')
+  && [...one.childNodes].some(node => node.nodeType == 3 && node.textContent.trim()));
+const boxes = found.map(one => {
+  const range = document.createRange();
+  range.selectNodeContents(one);
+  const [text, box] = [range.getBoundingClientRect(), one.getBoundingClientRect()];
+  return {name: one.textContent, left: text.left, right: text.right,
+    top: box.top, bottom: box.bottom};
+});
+const wrong = boxes.filter(a => a.left < -1 || a.right > innerWidth + 1).map(a => a.name);
+boxes.forEach((a, index) => boxes.slice(index + 1).forEach(b => {
+  if (Math.min(a.right, b.right) - Math.max(a.left, b.left) > 1
+      && Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top) > 4)
+    wrong.push(`${a.name} | ${b.name}`);
+}));
+return wrong;
+"""
+
 _FONTS_OF_PLOT = """
 const shown = document.querySelector('[data-testid=plot]');
 const sizes = [];
@@ -106,6 +127,11 @@ def too_small(found, least_px=18.0):
 
 def too_faint(found, least=4.5):
     return [one for one in found if one["contrast"] < least]
+
+
+def collisions(browser, selector):
+    """Among the elements' texts: each that sticks out of the window, each pair that overlaps."""
+    return browser.script(_COLLISIONS, selector)
 
 
 def font_sizes_of_plot(browser):

@@ -42,9 +42,9 @@ class World:
 
 
 @contextmanager
-def panel_world(monkeypatch, *arguments):
+def panel_world(monkeypatch, *arguments, **options):
     """The suite is started before any node, as a person may do it."""
     with Harness() as harness:
         monkeypatch.setenv("ROS_DOMAIN_ID", str(harness.domain_id))
-        with RosSuite(["panel", *arguments]) as suite:
+        with RosSuite(["panel", *arguments], **options) as suite:
             yield World(harness, suite)

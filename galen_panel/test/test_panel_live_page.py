@@ -6,12 +6,13 @@ import functools
 import inspect
 import io
 import json
+from dataclasses import replace
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import pytest
-from fake_suite import FakeSuite
+from fake_suite import COMPENSATING, FakeSuite
 from galen_model.arm.description import read_arm
 from galen_model.arm.galen import GALEN
 from galen_model.rotation import quaternion_to_matrix
@@ -88,6 +89,14 @@ async def test_streams_are_listened_to_only_while_somebody_looks(user, shown):
     assert shown.suite.watching == 0, "a browser that is gone must not listen again"
     await user.come_back()
     await user.until(lambda: shown.suite.watching == 1)
+
+
+@live_test
+async def test_the_set_up_s_verdict_is_above_the_plots(user, shown):
+    assert user.text("setup") == ""
+    verified = replace(COMPENSATING, values={"state": "compensating", "setup": "verified"})
+    shown.suite.put(nodes={"gravcomp": verified})
+    await user.until(lambda: user.text("setup").startswith("Set-up verified"))
 
 
 @live_test

@@ -1,11 +1,13 @@
 """Which arm the panel shows: of its parameters, or of the topic robot_description."""
 
+import shlex
 from pathlib import Path
 
 import numpy as np
 import pytest
 from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
+from galen_panel.messages.programs import DRIVER
 from galen_panel.ros.suite import RosSuite
 from galen_ros.messages import LATCHED, STREAM
 from panel_ros_world import panel_world
@@ -85,6 +87,19 @@ def test_the_arm_of_a_file_is_shown_with_its_frames(monkeypatch):
     given = start(f"urdf_file:={FILE}", "sensor_frame:=tool0", "base_frame:=shoulder_link")
     with panel_world(monkeypatch, *given) as world:
         assert world.state.drawing.arm.joint_names[0] == "shoulder_lift"
+
+
+def test_printed_commands_start_nodes_for_the_panel_s_arm(monkeypatch):
+    monkeypatch.chdir(FILE.parent)
+    given = [*start(f"urdf_file:={FILE.name}", "sensor_frame:=tool0"), "-r", "wrench_raw:=/ft/raw"]
+    with panel_world(monkeypatch, *given, tools_dir=Path("my tools")) as world:
+        answer = world.ask(world.suite.tare())
+        words = shlex.split(answer.text.partition("ros2 run galen_gravcomp gravcomp_node ")[2])
+        driver = DRIVER.start(world.state)
+    arm = ["-r", "wrench_raw:=/ft/raw", "-p", f"urdf_file:={FILE}", "-p", "sensor_frame:=tool0"]
+    tools = ["-p", f"tools_dir:={FILE.parent / 'my tools'}"]
+    assert words == ["--ros-args", *arm, *tools]
+    assert shlex.split(driver)[4:] == ["--ros-args", *arm]  # it keeps no files
 
 
 def test_a_file_that_can_not_be_read_ends_it_with_a_sentence():

@@ -1,9 +1,11 @@
 """The nodes in plain words: each state that the nodes' code can tell has words and advice."""
 
 import ast
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from fake_suite import ACTIVE
 from galen_calibration_behavior.common.commands import CalibrationState, CheckState
 from galen_deflection.collection.plan import State as CollectionState
 from galen_deflection.deflector import ModelRejection
@@ -12,9 +14,11 @@ from galen_gravcomp.monitor import Monitor
 from galen_panel.messages.advice import ADVICE, LIFECYCLE, REJECTED
 from galen_panel.messages.programs import (
     PROGRAMS,
+    compensates,
     find_advice,
     others,
     overall,
+    setup_sentence,
     words_of,
     words_of_other,
 )
@@ -209,6 +213,42 @@ def test_words_of_a_node(node, told, level, stopped, words):
     found = words_of(state_of(told), role(node), NOW_S)
     assert (found.level, found.stopped) == (level, stopped)
     assert words in found.doing and bool(found.todo) == (level is not OK)
+
+
+@pytest.mark.parametrize(("age_s", "believed"), [(1.4, True), (1.6, False)])
+def test_a_lost_compensation_is_not_believed_in_for_long_after_a_report_is_due(age_s, believed):
+    """Reports come once a second; every part of the page says the same."""
+    told = gravcomp(OK, "compensating", heard_s=NOW_S - age_s, setup="verified")
+    state = state_of(told, active_tool=ACTIVE)
+    assert compensates(state, NOW_S) is believed
+    assert (overall(state, NOW_S)[0] is OK) is believed
+    assert bool(setup_sentence(state, NOW_S)) is believed
+
+
+def test_on_a_busy_machine_reports_that_come_late_do_not_make_it_flicker():
+    told = gravcomp(OK, "compensating", heard_s=NOW_S - 2.0)
+    late = replace(told, heard_s=NOW_S).after(told)
+    assert compensates(state_of(late, active_tool=ACTIVE), NOW_S + 2.8)
+    assert not compensates(state_of(late, active_tool=ACTIVE), NOW_S + 3.1)
+    for second in range(1, 10):
+        late = replace(late, heard_s=NOW_S + second).after(late)
+    assert not compensates(state_of(late, active_tool=ACTIVE), NOW_S + 9.0 + 1.6)
+
+
+@pytest.mark.parametrize(
+    ("setup", "words"),
+    [
+        ("verified", "Set-up verified: at rest the readings fit"),
+        ("not yet verified: fits at rest in 1 of 3 orientations", "1 of 3 orientations. Let the"),
+        ("wrong: torques are in N.mm", "wrong: torques are in N.mm. Correct what"),
+        ("not checked: no tool", "Set-up not checked: no tool."),
+        ("", ""),
+        ("of another {version}", ""),
+    ],
+)
+def test_the_set_up_is_told_in_plain_words(setup, words):
+    told = setup_sentence(state_of(gravcomp(OK, "compensating", setup=setup)), NOW_S)
+    assert words in told and bool(words) is bool(told)
 
 
 @pytest.mark.parametrize("one", PROGRAMS, ids=[one.node for one in PROGRAMS])

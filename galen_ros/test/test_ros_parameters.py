@@ -54,6 +54,13 @@ def test_defaults_and_overrides(harness):
     harness.remove(node)
 
 
+def test_an_empty_list_is_one(harness):
+    """ROS hands over `-p weights:="[]"` without a value."""
+    node, values = declared(harness, weights=None)
+    assert values.weights == ()
+    harness.remove(node)
+
+
 @pytest.mark.parametrize(
     ("overrides", "words"),
     [

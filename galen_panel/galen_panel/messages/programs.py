@@ -7,6 +7,7 @@ by it, never guessed from sentences. What it tells beside that (names, numbers) 
 from __future__ import annotations
 
 import math
+import shlex
 from dataclasses import dataclass, replace
 
 from galen_panel.messages import texts
@@ -28,13 +29,17 @@ from galen_panel.state.snapshot import (
     SuiteState,
 )
 
+SILENT_S = 3.0
+"""A node that lives tells its state once a second."""
+_GRAVCOMP_SILENT_PERIODS = 1.5
+
 
 @dataclass(frozen=True)
 class Program:
     """A part of the suite; `node` is its node's name on /diagnostics.
 
     offers: a service or action of it, as in `State.available`. needed: whether nothing works
-    without it.
+    without it. lacks: parameters of `State.ros_arguments` that it does not have.
     """
 
     node: str
@@ -44,15 +49,22 @@ class Program:
     purpose: str
     offers: str = ""
     needed: bool = False
+    lacks: tuple[str, ...] = ()
 
-    def start(self, namespace: str = "") -> str:
-        """Return the command that starts it in a namespace."""
-        remap = f" --ros-args -r __ns:=/{namespace}" if namespace else ""
-        return f"ros2 run {self.package} {self.executable}{remap}"
+    def start(self, state: SuiteState) -> str:
+        """Return the command that starts it, with the panel's arm, names and directory of tools."""
+        given = [
+            word
+            for flag, text in state.ros_arguments
+            if text.split(":=")[0] not in self.lacks
+            for word in (flag, text)
+        ]
+        ros = ["--ros-args", *given] if given else []
+        return shlex.join(["ros2", "run", self.package, self.executable, *ros])
 
-    def absent(self, namespace: str = "") -> str:
+    def absent(self, state: SuiteState) -> str:
         """Say that it is missing, and what to do."""
-        return f"{self.executable} isn't running. Start it: {self.start(namespace)}"
+        return f"{self.executable} isn't running. Start it: {self.start(state)}"
 
 
 DRIVER = Program(
@@ -61,6 +73,7 @@ DRIVER = Program(
     "Moves the arm and reads its sensor.",
     offers="attach_tool",
     needed=True,
+    lacks=("use_robot_description", "tools_dir"),
 )
 GRAVCOMP = Program(
     *("gravcomp", "galen_gravcomp", "gravcomp_node"),
@@ -79,6 +92,7 @@ DEFLECTION = Program(
     *("deflection", "galen_deflection", "deflection_node"),
     "Deflection",
     "Predicts how far the arm bends.",
+    lacks=("tools_dir",),
 )
 COLLECTION = Program(
     *("collection", "galen_deflection", "collection_node"),
@@ -114,7 +128,7 @@ NAMES = {
 
 def missing(state: SuiteState, name: str) -> str:
     """Say what to do where that service or action isn't there; empty where it is."""
-    return "" if name in state.available else OFFERED_BY[name].absent(state.namespace)
+    return "" if name in state.available else OFFERED_BY[name].absent(state)
 
 
 def title(behaviour: Behaviour) -> str:
@@ -179,10 +193,6 @@ def _sweep_s(state: SuiteState) -> float:
         return math.nan
 
 
-SILENT_S = 3.0
-"""A node that lives tells its state once a second."""
-
-
 @dataclass(frozen=True)
 class Words:
     """Of one node. doing: a sentence; todo: what to do, empty where nothing is; said: its message.
@@ -208,7 +218,7 @@ def others(state: SuiteState) -> list[NodeReport]:
 def words_of(state: SuiteState, program: Program, now_s: float) -> Words:
     """Say what a program's node is doing. now_s: time.monotonic()."""
     report = state.report_of(program.node)
-    if report is None or now_s - report.heard_s > SILENT_S:
+    if report is None or _silent(report, program, now_s):
         return _absent(state, program, report, now_s)
     calibration = state.behaviours.get(BehaviourKind.CALIBRATE)
     calibrating = calibration is not None and calibration.running
@@ -228,11 +238,37 @@ def words_of_other(report: NodeReport, now_s: float) -> Words:
     return _own_words(report)
 
 
+def _silent(report: NodeReport, program: Program, now_s: float) -> bool:
+    # A compensation must not be believed in for long; a busy machine makes reports late.
+    limit_s = _GRAVCOMP_SILENT_PERIODS * report.period_s if program is GRAVCOMP else SILENT_S
+    return now_s - report.heard_s > limit_s
+
+
 def compensates(state: SuiteState, now_s: float) -> bool:
     """Return whether compensated wrenches go out; switched on is not enough."""
     active_tool = state.active_tool
     wanted = active_tool is not None and active_tool.enabled and bool(active_tool.tool)
     return wanted and not words_of(state, GRAVCOMP, now_s).stopped
+
+
+# By the first words of gravcomp's value `setup`; what follows a colon is put in.
+_SETUP = {
+    "verified": "Set-up verified: at rest the readings fit the tool's weight in several"
+    " orientations.",
+    "not yet verified": "Set-up not verified yet: {}. Let the arm rest in other orientations,"
+    " without contact.",
+    "wrong": "The set-up is wrong: {}. " + REJECTED["wrong_setup"].todo,
+    "not checked": "Set-up not checked: {}.",
+}
+
+
+def setup_sentence(state: SuiteState, now_s: float) -> str:
+    """Say whether readings at rest fit axes, signs and units; empty where gravcomp is silent."""
+    report = state.report_of(GRAVCOMP.node)
+    if report is None or _silent(report, GRAVCOMP, now_s):
+        return ""
+    found, _, detail = report.values.get("setup", "").partition(": ")
+    return _SETUP.get(found, "").format(detail.rstrip("."))
 
 
 def overall(state: SuiteState, now_s: float) -> tuple[NodeLevel, str]:
@@ -257,7 +293,7 @@ _RANK = {NodeLevel.OK: 0, NodeLevel.WARN: 1, NodeLevel.STALE: 2, NodeLevel.ERROR
 
 
 def _absent(state: SuiteState, program: Program, report: NodeReport | None, now_s: float) -> Words:
-    command = program.start(state.namespace)
+    command = program.start(state)
     start = f"Start it: {command}"
     if program is DRIVER:
         start = f"Start the arm's driver. For a simulated arm: {command}"
@@ -290,7 +326,7 @@ def _silence(silent_s: float) -> str:
 
 def _other_drivers(state: SuiteState, now_s: float) -> str:
     report = state.report_of(GRAVCOMP.node)
-    if report is None or now_s - report.heard_s > SILENT_S:
+    if report is None or _silent(report, GRAVCOMP, now_s):
         return ""
     return report.values.get("wrench_raw_publisher_nodes", "")
 

@@ -13,7 +13,7 @@ from nicegui import ui
 from galen_panel.messages import programs, texts
 from galen_panel.messages.programs import compensates, overall
 from galen_panel.page import behaviours, guide, live, nodes, recordings, tools
-from galen_panel.page.page import LOOKS, Page, pick_class, set_prop
+from galen_panel.page.page import LOOK_PERIOD_S, LOOKS, Page, pick_class, set_prop
 from galen_panel.state.snapshot import Asked, Behaviour, BehaviourKind, LoadedTool, SuiteState
 
 STYLE = Path(__file__).with_name("panel.css")
@@ -28,8 +28,6 @@ _FILE_STATES = {
     "gone": "Its file is gone.",
 }
 _ABSENT = "gravcomp is not running"
-# A node that falls silent changes nothing in the state; only time tells.
-_PERIOD_S = 1.0
 _ANSWER_S = 5.0
 # A modal dialog of the browser's own: nothing behind it takes a click or a key, which would be
 # kept and sent later, and no other dialog or message lies above it. NiceGUI shows and hides its
@@ -150,7 +148,8 @@ def _enable(page: Page) -> None:
         page.allow(button, programs.missing(state, "gravcomp/enable"))
 
     page.on_change(update)
-    ui.timer(_PERIOD_S, lambda: update(page.suite.state))
+    # A node that falls silent changes nothing in the state; only time tells.
+    ui.timer(LOOK_PERIOD_S, lambda: update(page.suite.state))
 
 
 def _shown(state: SuiteState) -> tuple[str, str]:
@@ -207,7 +206,7 @@ def build_lamp(page: Page) -> None:
         set_prop(lamp, "data-level", word)
 
     page.on_change(lambda _state: look())
-    ui.timer(_PERIOD_S, look)
+    ui.timer(LOOK_PERIOD_S, look)
 
 
 def build_running(page: Page) -> None:

@@ -20,13 +20,14 @@ import numpy as np
 from galen_model.arrays import Array
 from nicegui import run, ui
 
+from galen_panel.messages.programs import setup_sentence
 from galen_panel.page.arm import ArmView
 from galen_panel.page.page import Page
 from galen_panel.page.plot_options import (
     DEFLECTION_NAMES,
-    HEIGHT_PX,
     deflection_curves,
     headings,
+    heights,
     look,
     options,
     time_span,
@@ -60,6 +61,7 @@ def build(page: Page, shown: Callable[[], bool]) -> None:
         ui.add_head_html(f"<script>{(_HERE / script).read_text()}</script>")
     client = ui.context.client
     listening: list[ExitStack] = []
+    setup = ui.label().classes("panel-path q-mb-sm").props("role=status data-testid=setup")
     with ui.element("div").classes("live-columns"):
         with ui.element("section").classes("live-left").props('aria-label="Plots"'):
             plots = Plots(page)
@@ -75,6 +77,7 @@ def build(page: Page, shown: Callable[[], bool]) -> None:
             listening.pop().close()
 
     def look() -> None:
+        setup.set_text(setup_sentence(page.suite.state, time.monotonic()))
         seen = shown() and client.has_socket_connection
         if seen == bool(listening):
             return
@@ -131,7 +134,7 @@ class Plots:
             self._csv = ui.button("CSV", icon="download", on_click=self._save_csv)
             self._csv.props('data-testid=csv no-caps outline aria-label="Save as CSV"')
             self._csv.tooltip("All samples of the window, at full rate")
-        with ui.element("div").classes("live-plots").style(f"height:{HEIGHT_PX}px"):
+        with ui.element("div").classes("live-plots").style(heights()):
             self._chart = ui.echart(options(self._window_s)).classes("live-chart")
             self._chart.props(
                 'data-testid=plot role=img aria-label="Forces, torques and deflection over time;'

@@ -147,7 +147,7 @@ class FileNotice:
         if model := outcome.values.get("model"):
             ui.label(texts.model_sentence(str(model)))
             reason = f"Model: {model} - {outcome.values.get('model_reason', '')}"
-            with ui.expansion("How it was chosen").props("dense").classes("w-full"):
+            with ui.expansion("Details of the fit").props("dense").classes("w-full"):
                 ui.label(texts.sentence(reason)).classes("panel-lines")
         self._beside = ui.column().classes("w-full gap-2").props("data-testid=beside")
         self._fate = ui.label().classes("panel-lead").props("role=status data-testid=fate")

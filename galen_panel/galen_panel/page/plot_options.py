@@ -1,8 +1,9 @@
 """How the plots look: ECharts' options, plain dictionaries. No ROS, no page.
 
 Six plots of the wrench in two columns (force left, torque right), below them one of the tip's
-deflection. All share the time axis, seconds before the newest sample, and one zoom. Above each
-plot is room for a heading that the page writes; `HEADINGS` says where.
+deflection; where the page is narrow, all in one column. All share the time axis, seconds before the
+newest sample, and one zoom. Above each plot is room for a heading that the page writes; `headings`
+says where.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ BETWEEN_PX = 16
 TIME_PX = 34
 NAME_PX = 30
 SLIDER_PX = 34
-HEIGHT_PX = LEGEND_PX + 4 * ROW_PX + 2 * TIME_PX + NAME_PX + SLIDER_PX
+NARROW_PX = 760
+"""Up to this width headings would not fit beside each other."""
 _FONT_PX = 18
 _FONT = "Roboto, sans-serif"
 _LEFT_PX = 96
@@ -47,16 +49,23 @@ def deflection_curves(values: Array) -> Array:
 
 def headings() -> list[tuple[str, str, str]]:
     """Return axis, unit and place (CSS) of the headings of the six axes, then of the tip."""
-    left = f"left:{_LEFT_PX}px"
-    forces = [(axis, "N", left) for axis in WRENCH_AXES[:3]]
-    torques = [(axis, "mN·m", f"left:{_RIGHT_COLUMN}") for axis in WRENCH_AXES[3:]]
-    rows = (0, 1, 2, 0, 1, 2, 3)
     return [
-        (axis, unit, f"{place};top:{_top(row)}px")
-        for (axis, unit, place), row in zip(
-            [*forces, *torques, ("tip", "mm", left)], rows, strict=True
+        (
+            axis,
+            _unit(index),
+            f"left:{_left(index, narrow=False)};top:{_top(_row(index, narrow=False))}px;"
+            f"--narrow-left:{_LEFT_PX}px;--narrow-top:{_top(_row(index, narrow=True))}px",
         )
+        for index, axis in enumerate((*WRENCH_AXES, "tip"))
     ]
+
+
+def heights() -> str:
+    """Return the chart's height, wide and narrow (CSS)."""
+    wide, narrow = (
+        _top(rows) + (0 if rows % 3 == 0 else TIME_PX) + NAME_PX + SLIDER_PX for rows in (4, 7)
+    )
+    return f"height:{wide}px;--narrow-height:{narrow}px"
 
 
 def options(window_s: float) -> Option:
@@ -65,8 +74,9 @@ def options(window_s: float) -> Option:
         "animation": False,
         "textStyle": {"fontSize": _FONT_PX, "fontFamily": _FONT},
         "legend": {
+            "type": "scroll",
+            "pageTextStyle": {"fontSize": _FONT_PX},
             "top": 2,
-            "left": _LEFT_PX,
             "itemGap": 24,
             "itemWidth": 40,
             # A line with its dashes, without a symbol on it.
@@ -82,7 +92,10 @@ def options(window_s: float) -> Option:
         },
         "axisPointer": {"link": [{"xAxisIndex": "all"}]},
         "dataset": [{"id": name, "source": []} for name in ("raw", "compensated", "deflection")],
-        "grid": [_grid(index) for index in range(7)],
+        "media": [
+            {"option": _places(narrow=False)},
+            {"query": {"maxWidth": NARROW_PX}, "option": _places(narrow=True)},
+        ],
         "xAxis": [_time_axis(index, window_s) for index in range(7)],
         "yAxis": [_value_axis(index) for index in range(7)],
         "dataZoom": [
@@ -132,7 +145,12 @@ def look(dark: bool) -> Option:
     ]
     return {
         "textStyle": {"color": text},
-        "legend": {"textStyle": {"color": text}, "inactiveColor": "#808890"},
+        "legend": {
+            "textStyle": {"color": text},
+            "pageTextStyle": {"color": text},
+            "pageIconColor": text,
+            "inactiveColor": "#808890",
+        },
         "tooltip": {
             "backgroundColor": "#2a3138" if dark else "#ffffff",
             "textStyle": {"color": text},
@@ -146,19 +164,37 @@ def look(dark: bool) -> Option:
     }
 
 
+def _unit(index: int) -> str:
+    return "mm" if index == 6 else "N" if index < 3 else "mN·m"
+
+
+def _row(index: int, narrow: bool) -> int:
+    """Return the row of a plot: fx ... tz, tip."""
+    return index if narrow else 3 if index == 6 else index % 3
+
+
+def _left(index: int, narrow: bool) -> str:
+    # ECharts adds no lengths in px to those in %.
+    return _RIGHT_COLUMN if 3 <= index < 6 and not narrow else f"{_LEFT_PX}px"
+
+
 def _top(row: int) -> int:
-    """Where a row begins, px; the last rows of wrenches and deflection tell the time below."""
-    return LEGEND_PX + row * ROW_PX + (TIME_PX if row == 3 else 0)
+    """Where a row begins, px; below the last row of forces, and of torques, the time is told."""
+    return LEGEND_PX + row * ROW_PX + row // 3 * TIME_PX
 
 
-def _grid(index: int) -> Option:
-    row = 3 if index == 6 else index % 3
+def _places(narrow: bool) -> Option:
     return {
-        "top": _top(row) + HEADING_PX,
-        "height": ROW_PX - HEADING_PX - BETWEEN_PX,
-        # ECharts adds no lengths in px to those in %.
-        "left": _RIGHT_COLUMN if 3 <= index < 6 else _LEFT_PX,
-        "right": "52%" if index < 3 else _RIGHT_PX,
+        "legend": {"left": 0 if narrow else _LEFT_PX},
+        "grid": [
+            {
+                "top": _top(_row(index, narrow)) + HEADING_PX,
+                "height": ROW_PX - HEADING_PX - BETWEEN_PX,
+                "left": _left(index, narrow),
+                "right": "52%" if index < 3 and not narrow else _RIGHT_PX,
+            }
+            for index in range(7)
+        ],
     }
 
 
@@ -192,14 +228,13 @@ def _time_axis(index: int, window_s: float) -> Option:
 
 
 def _value_axis(index: int) -> Option:
-    unit = "mm" if index == 6 else "N" if index < 3 else "mN·m"
     name = "tip" if index == 6 else WRENCH_AXES[index]
     return {
         "type": "value",
         "gridIndex": index,
         "scale": True,
         "splitNumber": 3,
-        "name": f"{name}, {unit}",
+        "name": f"{name}, {_unit(index)}",
         "nameLocation": "middle",
         "nameGap": 62,
         "nameTextStyle": {"fontSize": _FONT_PX},

@@ -115,7 +115,8 @@ def hear_reports(node: Node, board: Board, on_report: Callable[[NodeReport], Non
     def on_message(message: DiagnosticArray) -> None:
         now_s = time.monotonic()
         reports = [_report(status, now_s) for status in message.status[:_MOST_NODES]]
-        nodes = {**board.state.nodes, **{report.name: report for report in reports}}
+        before = board.state.nodes
+        nodes = {**before, **{one.name: one.after(before.get(one.name)) for one in reports}}
         newest_first = sorted(nodes.values(), key=lambda report: -report.heard_s)
         kept = {report.name for report in newest_first[:_MOST_NODES]}
         board.put(nodes={name: nodes[name] for name in nodes if name in kept})

@@ -103,7 +103,6 @@ class GoalFollower:
         self._ended: deque[bytes] = deque(maxlen=100)
         self._rejections: list[_Rejection] = []
         self._next_look_s = 0.0
-        self._namespace = node.get_namespace().strip("/")
         self._impl = impl = kind.action_type.Impl
         action = f"{kind.kind.value}/_action"
         self._send = node.create_client(impl.SendGoalService, f"{action}/send_goal")
@@ -135,7 +134,7 @@ class GoalFollower:
     def _send_goal(self, goal: Goal, request: Any, reply: Reply[CallAnswer]) -> None:
         kind, sent_s = self._kind, time.monotonic()
         if not self._send.service_is_ready():
-            raise CallError(kind.program.absent(self._namespace))
+            raise CallError(kind.program.absent(self._board.state))
         goal_id = uuid.uuid4().bytes
         self._ours[goal_id] = goal
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import functools
 import itertools
+import json
 import threading
 from collections.abc import Callable, Coroutine
 from contextlib import AbstractContextManager
-from dataclasses import replace
+from dataclasses import fields, replace
+from pathlib import Path
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from galen_model.arm.arm import Arm
@@ -30,6 +32,7 @@ from galen_panel.ros.thread import Calls, RosThread
 from galen_panel.state.history import History
 from galen_panel.state.shapes import draw
 from galen_panel.state.snapshot import (
+    TOOLS_DIR,
     BehaviourKind,
     CallAnswer,
     Goal,
@@ -65,14 +68,15 @@ def _answered(
 class RosSuite(AbstractContextManager["RosSuite"]):
     """The suite as the page sees it, by a ROS node of its own."""
 
-    def __init__(self, argv: list[str]) -> None:
+    def __init__(self, argv: list[str], tools_dir: Path = TOOLS_DIR) -> None:
         """`argv`: the command line, with what is ROS's; raises GalenError."""
         self._board = Board()
+        self._board.put(tools_dir=str(tools_dir.expanduser().absolute()))
         self.history = History(GALEN)
         """The streams' newest samples; it grows only while a page shows them."""
         self._thread = RosThread()
         self.streams = Streams(self.history, self._thread.context)
-        self._calls = Calls(self._thread)
+        self._calls = Calls(self._thread, lambda program: program.absent(self.state))
         self._thread.start(NODE_NAME, argv, self._set_up, self.streams.close)
 
     def __exit__(self, *_: object) -> None:
@@ -84,8 +88,10 @@ class RosSuite(AbstractContextManager["RosSuite"]):
 
     def _set_up(self, node: Node) -> Callable[[float], None]:
         board, calls = self._board, self._calls
-        board.put(namespace=node.get_namespace().strip("/"))
         self._arm_parameters = Held(node, ArmParameters)
+        board.put(
+            namespace=node.get_namespace().strip("/"), given=_given(node, self._arm_parameters.now)
+        )
         self._source = ArmSource(
             node, self._arm_parameters, self._on_description, "start the panel again to show it"
         )
@@ -245,3 +251,25 @@ class RosSuite(AbstractContextManager["RosSuite"]):
     async def cancel(self, kind: BehaviourKind) -> CallAnswer:
         """Cancel a behaviour's goal, of any client; answers when that is accepted."""
         return await self._followers[kind].cancel()
+
+
+_INPUTS = ("wrench_raw", "joint_states", "robot_description")
+
+
+def _given(node: Node, arm: ArmParameters) -> tuple[tuple[str, str], ...]:
+    """Return in what the panel's inputs and its arm differ from the defaults."""
+    namespace = node.get_namespace().rstrip("/")
+    topics = {name: node.resolve_topic_name(name) for name in _INPUTS}
+    found = [
+        ("-r", f"{name}:={topic}")
+        for name, topic in topics.items()
+        if topic != f"{namespace}/{name}"
+    ]
+    for name, default in ((field.name, field.default) for field in fields(arm)):
+        value = getattr(arm, name)
+        if value == default:
+            continue
+        if name == "urdf_file":
+            value = str(Path(value).expanduser().absolute())
+        found.append(("-p", f"{name}:={value if isinstance(value, str) else json.dumps(value)}"))
+    return tuple(found)

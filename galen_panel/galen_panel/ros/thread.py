@@ -78,8 +78,6 @@ class RosThread:
         self._open: set[Reply[Any]] = set()
         self._lock = threading.Lock()
         self._stop = False
-        self.namespace = ""
-        """The node's own, without slashes at its ends, once it runs."""
         self._thread: threading.Thread | None = None
 
     def start(
@@ -137,7 +135,6 @@ class RosThread:
         try:
             node = Node(name, context=self.context)
             guard_parameter_services(node)
-            self.namespace = node.get_namespace().strip("/")
             on_beat = set_up(node)
             executor = make_executor(self.context)
             executor.add_node(node)
@@ -199,8 +196,10 @@ class _Pending:
 class Calls:
     """Keeps what waits for an answer. Only `ask` may be called outside the ROS thread."""
 
-    def __init__(self, thread: RosThread) -> None:
+    def __init__(self, thread: RosThread, absent: Callable[[Program], str]) -> None:
+        """`absent(program)` says what to do where a program isn't running."""
         self._thread = thread
+        self._absent = absent
         self._pending: list[_Pending] = []
 
     async def ask(self, client: Client, request: Any, program: Program, timeout_s: float) -> Any:
@@ -230,7 +229,7 @@ class Calls:
         timeout_s None: no limit.
         """
         if not client.service_is_ready():
-            done(CallError(program.absent(self._thread.namespace)))
+            done(CallError(self._absent(program)))
             return lambda: None
         future = client.call_async(request)
         late = f"{program.executable} has not answered for {timeout_s:g} s" if timeout_s else ""

@@ -7,13 +7,17 @@ higher `revision`. So that a thread may read it while the next one is made.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
+from pathlib import Path
 from typing import Literal
 
 from galen_panel.state.shapes import Drawing
 
 Vector = tuple[float, ...]
+
+TOOLS_DIR = Path("~/.ros/galen/tools")
+"""Where nodes look for calibration files, if nothing else is given."""
 
 
 class NodeLevel(Enum):
@@ -77,13 +81,24 @@ class LoadedTool:
 
 @dataclass(frozen=True)
 class NodeReport:
-    """A node's newest report on /diagnostics; heard_s: time.monotonic() of it."""
+    """A node's newest report on /diagnostics; heard_s: time.monotonic() of it.
+
+    period_s: the longest between two of late, 1 s where all is well.
+    """
 
     name: str
     level: NodeLevel
     message: str
     values: Mapping[str, str]
     heard_s: float
+    period_s: float = 1.0
+
+    def after(self, before: NodeReport | None) -> NodeReport:
+        """Return it with the period, given the report before."""
+        if before is None:
+            return self
+        late_s = min(2.0, self.heard_s - before.heard_s)
+        return replace(self, period_s=max(1.0, late_s, 0.9 * before.period_s))
 
 
 LOST = "LOST"
@@ -142,6 +157,7 @@ class SuiteState:
 
     available holds names as in the contract: `gravcomp/set_tool`, `calibrate_tool`, `attach_tool`.
     namespace: the panel's own, without slashes at its ends; nodes of others are another arm's.
+    given: in what its parameters and names differ from the defaults: flag (-p, -r), name:=value.
     drawing: the arm, None until its description came; arm_problem: why it lacks or may be wrong.
     """
 
@@ -154,8 +170,18 @@ class SuiteState:
     behaviours: Mapping[BehaviourKind, Behaviour] = field(default_factory=dict)
     available: frozenset[str] = frozenset()
     namespace: str = ""
+    given: tuple[tuple[str, str], ...] = ()
     drawing: Drawing | None = None
     arm_problem: str = ""
+
+    @property
+    def ros_arguments(self) -> list[tuple[str, str]]:
+        """Return what starts a node as the panel: namespace, `given`, directory of tools."""
+        found = [("-r", f"__ns:=/{self.namespace}")] if self.namespace else []
+        found += self.given
+        if self.tools_dir not in ("", str(TOOLS_DIR.expanduser())):
+            found.append(("-p", f"tools_dir:={self.tools_dir}"))
+        return found
 
     def full_name(self, node: str) -> str:
         """Return the name on /diagnostics of a node in the panel's own namespace."""

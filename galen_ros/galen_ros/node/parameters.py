@@ -119,6 +119,8 @@ def _declare(
         raise ParameterError(
             f"parameter '{name}' must be {wanted(hint, meaning)}: {error}"
         ) from error
+    if value is None and isinstance(default, tuple):
+        value = ()  # ROS knows no type of an empty list, and hands over none
     return checked(name, value, hint, meaning)
 
 
