@@ -39,7 +39,7 @@ from galen_model.rest.binned import CellReducer, find_still_phases
 from galen_model.setup_check.check import SetupError, check_setup
 from galen_model.setup_check.readings import at_angles
 from galen_sim_driver.effects.effect import Effect
-from galen_sim_driver.effects.joints import BaseInclination, JointZeroOffset
+from galen_sim_driver.effects.joints import JointZeroOffset, base_inclination
 from galen_sim_driver.effects.sensor import AxisGain, SensorMountRotation
 
 from galen_bags import BagError
@@ -124,7 +124,7 @@ class DiagnosticRecording:
         zeros = zip(mounting.joints, mounting.joint_zero_rad.tolist(), strict=True)
         every: tuple[Effect, ...] = (
             *(JointZeroOffset(joint, zero, nominal=self.arm) for joint, zero in zeros),
-            BaseInclination(*mounting.base_inclination_rad.tolist()),
+            base_inclination(self.arm.gravity_m_s2)(*mounting.base_inclination_rad.tolist()),
             SensorMountRotation(tuple(mounting.sensor_rotvec_rad.tolist())),
             AxisGain(tuple(mounting.axis_gain.tolist())),
         )

@@ -27,6 +27,7 @@ from galen_model.evidence.held_out import Columns, Effects
 from galen_model.load.model import Load
 from galen_model.rotation import skew
 from galen_sim_driver.effects.effect import Effect, Fitted, Instants
+from galen_sim_driver.effects.joints import base_inclination
 from galen_sim_driver.effects.registry import EFFECTS
 
 _HOUR_S = 3600.0
@@ -42,7 +43,7 @@ _SATURATION_SHARES = (0.97, 0.9, 0.75)
 _KEPT = 0.999
 _FEWEST_YAWS = 3
 
-_BY_HOOKS = ("base_inclination", "sensor_mount_rotation", "axis_gain", "loose_tool")
+_BY_HOOKS = ("sensor_mount_rotation", "axis_gain", "loose_tool")
 _OF_THE_LOAD = ("tool_mass_error", "tool_com_error")
 
 
@@ -79,6 +80,15 @@ class TablePlant:
                 total = effect.read(when, total)
         return np.asarray(total)
 
+    @property
+    def gravity_in_base(self) -> Array:
+        """Gravity (3,) in a level base, m/s^2."""
+        assert self.rotation is not None
+        in_base = self.rotation[0] @ self.gravity[0]
+        if np.allclose(in_base, GRAVITY_M_S2, rtol=0.0, atol=1e-6):
+            return GRAVITY_M_S2
+        return np.asarray(in_base)
+
     def change(self, effect: Effect) -> Array:
         """Return what an effect adds to the reading (n, 6)."""
         return self.reading([effect]) - self.reading()
@@ -86,9 +96,7 @@ class TablePlant:
     def _gravity(self, effects: Sequence[Effect]) -> Array:
         if self.rotation is None:
             return self.gravity
-        in_base = self.rotation[0] @ self.gravity[0]
-        if np.allclose(in_base, GRAVITY_M_S2, rtol=0.0, atol=1e-6):
-            in_base = GRAVITY_M_S2
+        in_base = self.gravity_in_base
         turned = in_base.copy()
         for effect in effects:
             turned = effect.gravity(turned)
@@ -108,10 +116,12 @@ def table_effects(
     of: dict[str, Sequence[Columns]] = {}
     cannot: list[str] = []
     for name in (*_BY_HOOKS, *(_OF_THE_LOAD if known_load else ())):
-        if name == "base_inclination" and plant.rotation is None:
-            cannot.append("base_inclination: the table has gravity alone, not the rotation")
-            continue
         of[name] = [_by_hooks(plant, EFFECTS[name]())]
+    if plant.rotation is None:
+        cannot.append("base_inclination: the table has gravity alone, not the rotation")
+    else:
+        inclined = base_inclination(plant.gravity_in_base)()
+        of[inclined.name] = [_by_hooks(plant, inclined)]
     of["crosstalk"] = [
         _by_hooks(plant, EFFECTS["crosstalk"](from_axis=a, to_axis=b), {"from": a, "to": b})  # type: ignore[call-arg]
         for a in WRENCH_AXES
