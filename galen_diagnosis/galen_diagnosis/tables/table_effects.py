@@ -18,13 +18,18 @@ A cable's pull along gravity weighs as mass does, so that its tension here is th
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 
 import numpy as np
+from galen_bags.arrays.tables import OrientationTable
 from galen_model.arm.galen import GRAVITY_M_S2, WRENCH_AXES
 from galen_model.arrays import Array
+from galen_model.errors import IdentificationError
 from galen_model.evidence.held_out import Columns, Effects
 from galen_model.load.model import Load
+from galen_model.load.mounting.identification import identify_single_load_mounted
+from galen_model.load.mounting.mounting import inclination_axes
 from galen_model.rotation import skew
 from galen_sim_driver.effects.effect import Effect, Fitted, Instants
 from galen_sim_driver.effects.joints import base_inclination
@@ -32,6 +37,8 @@ from galen_sim_driver.effects.registry import EFFECTS
 
 _HOUR_S = 3600.0
 _STEP = 1e-3
+_INCLINATIONS_RAD = (0.01, 0.1)
+"""Usual sizes: of a base that is meant to be level, and of a mount that isn't known."""
 _DRIFT_LENGTHS = (1.0, 0.25, 0.08)
 """Over the table's span; what bends faster than this, in s, is no bias drift."""
 _FASTEST_DRIFT_S = 10.0
@@ -80,15 +87,6 @@ class TablePlant:
                 total = effect.read(when, total)
         return np.asarray(total)
 
-    @property
-    def gravity_in_base(self) -> Array:
-        """Gravity (3,) in a level base, m/s^2."""
-        assert self.rotation is not None
-        in_base = self.rotation[0] @ self.gravity[0]
-        if np.allclose(in_base, GRAVITY_M_S2, rtol=0.0, atol=1e-6):
-            return GRAVITY_M_S2
-        return np.asarray(in_base)
-
     def change(self, effect: Effect) -> Array:
         """Return what an effect adds to the reading (n, 6)."""
         return self.reading([effect]) - self.reading()
@@ -96,7 +94,9 @@ class TablePlant:
     def _gravity(self, effects: Sequence[Effect]) -> Array:
         if self.rotation is None:
             return self.gravity
-        in_base = self.gravity_in_base
+        in_base = self.rotation[0] @ self.gravity[0]
+        if np.allclose(in_base, GRAVITY_M_S2, rtol=0.0, atol=1e-6):
+            in_base = GRAVITY_M_S2
         turned = in_base.copy()
         for effect in effects:
             turned = effect.gravity(turned)
@@ -106,9 +106,14 @@ class TablePlant:
 
 
 def table_effects(
-    plant: TablePlant, nominal: Columns, *, known_load: bool, by_order: bool
+    plant: TablePlant,
+    table: OrientationTable,
+    nominal: Columns,
+    *,
+    known_load: bool,
+    by_order: bool,
 ) -> Effects:
-    """Return all effects that a table can show.
+    """Return all effects that a table, of n readings, can show.
 
     known_load: the load is a file's and not fitted, so that it may be wrong. by_order: the order of
     readings is all that is known of time.
@@ -120,8 +125,7 @@ def table_effects(
     if plant.rotation is None:
         cannot.append("base_inclination: the table has gravity alone, not the rotation")
     else:
-        inclined = base_inclination(plant.gravity_in_base)()
-        of[inclined.name] = [_by_hooks(plant, inclined)]
+        of["base_inclination"] = _inclinations(plant, table, known_load)
     of["crosstalk"] = [
         _by_hooks(plant, EFFECTS["crosstalk"](from_axis=a, to_axis=b), {"from": a, "to": b})  # type: ignore[call-arg]
         for a in WRENCH_AXES
@@ -141,6 +145,38 @@ def table_effects(
     of["bias_step"] = _steps(plant.at_s)
     cannot.append("inertial_load, wrench_delay: rest segments have no motion")
     return Effects(nominal, of, tuple(cannot))
+
+
+def _inclinations(plant: TablePlant, table: OrientationTable, known_load: bool) -> list[Columns]:
+    """Return the columns of each usual size, exact at the load and angles that fit together.
+
+    A load that was fitted under a wrong direction of gravity is a wrong one.
+    """
+    gravity = table.arm.gravity_m_s2
+    level, angles = base_inclination(gravity)(), np.zeros(2)
+    if not known_load:
+        with suppress(IdentificationError):
+            found = identify_single_load_mounted(
+                plant.gravity, table.wrench, ["base_inclination"], plant.rotation, arm=table.arm
+            )
+            axes = ["xyz".index(axis) for axis in inclination_axes(gravity)]
+            angles = found.mounting.base_inclination_rad[axes]
+            plant = replace(plant, load=found.single.load.load)
+    whole = plant.change(level.with_vector(angles))
+    moved = [plant.change(level.with_vector(angles + step)) for step in _STEP * np.eye(2)]
+    slope = (np.stack(moved, axis=2) - whole[:, :, None]) / _STEP
+    if np.any(angles):
+        slope += np.multiply.outer(whole - slope @ angles, angles / (angles @ angles))
+    return [
+        Columns(
+            usual * slope,
+            {
+                part.name: _numbers(part, at, np.full(2, usual))
+                for at, part in enumerate(level.fitted)
+            },
+        )
+        for usual in _INCLINATIONS_RAD
+    ]
 
 
 def drift_columns(at_s: Array, by_order: bool = False) -> list[Columns]:
