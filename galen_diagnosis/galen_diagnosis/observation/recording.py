@@ -11,7 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from galen_bags.arrays.arm_recording import ArmRecording, read_arm
+from galen_bags.arrays.arm_recording import ArmRecording, ArmTopics, read_arm
 from galen_bags.arrays.marker_tracks import marker_track, read_poses
 from galen_bags.formats.bag import open_bag, robot_description
 from galen_bags.formats.files import is_bag
@@ -149,12 +149,14 @@ def read_recording(
     tool: str | os.PathLike[str] | None = None,
     *,
     inertial_forces: bool = False,
+    wrench_frame: str = "sensor",
 ) -> DiagnosticRecording:
     """Read a recording's directory; raises GalenError.
 
     The arm is that of `arm.urdf` in it, or of `robot_description` in its bags, else the Galen.
     tool: the tool's file, where it isn't the directory's own tool.json. inertial_forces: the
-    nominal model has those of tool and adapter, with the file's masses. Missing bags are named in
+    nominal model has those of tool and adapter, with the file's masses. wrench_frame: "sensor", or
+    "base" where wrenches are written in the base's axes. Missing bags are named in
     `missing`; without any there is nothing to diagnose.
     """
     path = Path(path)
@@ -167,7 +169,7 @@ def read_recording(
     problems: list[str] = []
     for name in BAGS:
         if (path / name).exists():
-            arms[name] = read_arm(path / name, arm=robot)
+            arms[name] = read_arm(path / name, ArmTopics(wrench_frame=wrench_frame), robot)
             problems += [f"{name}: {problem}" for problem in arms[name].problems]
     for name, arm in arms.items():
         _check_frames(path / name, arm, tool_file)
@@ -274,8 +276,8 @@ def _check_frames(path: Path, arm: ArmRecording, tool: CalibrationFile) -> None:
     other = [frame for frame in arm.frame_ids if frame and frame != tool.sensor_frame]
     if other:
         raise GalenError(
-            f"{path}: wrenches in frame {other[0]!r}, but the tool's file is for "
-            f"{tool.sensor_frame!r}"
+            f"{path}: wrenches in frame {other[0]!r}, but the tool's file is for"
+            f" {tool.sensor_frame!r}; --wrench-frame base turns them out of the base's axes"
         )
 
 
