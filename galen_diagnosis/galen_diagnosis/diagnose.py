@@ -48,6 +48,7 @@ from galen_ros.command import (
     add_table_columns,
     add_tool_file,
     add_workers,
+    add_wrench_frame,
     check_file,
     make_parser,
     positive,
@@ -128,6 +129,7 @@ class Job:
     name_parts: int = 1
     inertial_forces: bool = False
     check_setup: bool = True
+    wrench_frame: str = "sensor"
 
     def __call__(self, recording: Place) -> dict[str, Any]:
         """Diagnose and write; returns what diagnosis.json holds."""
@@ -145,7 +147,10 @@ class Job:
             copied = local_copy(place, folders=BAGS, files=RECORDING_FILES)
             tool = self.tool and copies.enter_context(local_copy(self.tool))
             recording = read_recording(
-                copies.enter_context(copied), tool, inertial_forces=self.inertial_forces
+                copies.enter_context(copied),
+                tool,
+                inertial_forces=self.inertial_forces,
+                wrench_frame=self.wrench_frame,
             )
             if self.check_setup:
                 require_sound_setup(recording)
@@ -240,6 +245,7 @@ def build_parser(kind: Kind = "recording") -> argparse.ArgumentParser:
 
 
 def _add_recording_options(parser: argparse.ArgumentParser) -> None:
+    add_wrench_frame(parser)
     add_no_setup_check(parser)
     parser.add_argument(
         "--inertial-forces",
@@ -324,8 +330,9 @@ def _recordings(arguments: argparse.Namespace, console: Console) -> int:
             name_parts=name_depth(recordings),
             inertial_forces=arguments.inertial_forces,
             check_setup=not arguments.no_setup_check,
+            wrench_frame=arguments.wrench_frame,
         )
-        archive = Archive(job, seen(arguments.results), _known(tool, arguments.inertial_forces))
+        archive = Archive(job, seen(arguments.results), _known(tool, arguments))
         return _archive(archive, found, arguments)
     folders = output_folders(recordings, arguments.output)
     job = Job(
@@ -335,6 +342,7 @@ def _recordings(arguments: argparse.Namespace, console: Console) -> int:
         overwrite=arguments.overwrite,
         inertial_forces=arguments.inertial_forces,
         check_setup=not arguments.no_setup_check,
+        wrench_frame=arguments.wrench_frame,
     )
     for folder in folders.values():
         check_output(folder, overwrite=arguments.overwrite)  # before minutes of work
@@ -357,9 +365,11 @@ def _recordings(arguments: argparse.Namespace, console: Console) -> int:
     return _code(arguments, [row["verdict"] for row in rows])
 
 
-def _known(tool: Place | None, inertial_forces: bool) -> dict[str, Any]:
+def _known(tool: Place | None, arguments: argparse.Namespace) -> dict[str, Any]:
     """Return what a result depends on beside its recording."""
-    known: dict[str, Any] = {"diagnose": RESULT_VERSION, "inertial_forces": inertial_forces}
+    known = {"diagnose": RESULT_VERSION, "inertial_forces": arguments.inertial_forces}
+    if arguments.wrench_frame != "sensor":
+        known["wrench_frame"] = arguments.wrench_frame
     if tool is not None:
         with local_copy(tool) as path:
             if not path.is_file():

@@ -25,7 +25,8 @@ from galen_diagnosis.simulated_recording import main, make_recording, push_posit
 from galen_model.arm.description import read_arm
 from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
-from galen_sim_driver.effects.joints import BaseInclination
+from galen_model.files.calibration_file import parse_calibration
+from galen_sim_driver.effects.joints import BaseInclination, base_inclination
 from galen_sim_driver.effects.load import InertialLoad, ToolComError, ToolMassError
 from galen_sim_driver.effects.registry import effect_from
 from galen_sim_driver.effects.sensor import AxisGain, SensorMountRotation
@@ -33,6 +34,7 @@ from galen_sim_driver.replay import Replay
 
 URDF = Path(__file__).parents[2] / "galen_bringup" / "urdf" / "six_axis.urdf"
 ARM = read_arm(URDF.read_text())
+WALL = replace(ARM, gravity_m_s2=np.array([9.80665, 0.0, 0.0]))
 POSES = sweep_poses(ARM)
 FEW = POSES[:24]
 
@@ -41,8 +43,8 @@ def zero_of(joint, offset_rad=0.01):
     return effect_from("joint_zero_offset", {"joint": joint, "offset_rad": offset_rad}, ARM)
 
 
-def made(folder, *effects, poses=FEW, **options):
-    make_recording(folder, effects, 11, arm=ARM, poses=poses, bags=("sweep",), **options)
+def made(folder, *effects, poses=FEW, arm=ARM, **options):
+    make_recording(folder, effects, 11, arm=arm, poses=poses, bags=("sweep",), **options)
     return folder
 
 
@@ -166,6 +168,25 @@ def found_as(effects):
     made_up = example_diagnosis()
     answer = replace(made_up.answer, causes=tuple(causes))
     return replace(made_up, answer=answer, effects=tuple(effects))
+
+
+@pytest.mark.slow
+def test_the_base_of_an_arm_on_a_wall_is_found_about_y_and_z(tmp_path):
+    inclined = base_inclination(WALL.gravity_m_s2)(about_y_rad=0.02, about_z_rad=-0.01)
+    recording = read_recording(made(tmp_path / "made", inclined, arm=WALL))
+    found = diagnose_recording(recording)
+    (cause,) = found.answer.causes
+    assert cause.effect == "base_inclination" and set(cause.parameters) == {
+        "about_y_rad", "about_z_rad",
+    }  # fmt: skip
+    for name, value in cause.parameters.items():
+        assert value.low < getattr(inclined, name) < value.high and value.high - value.low < 2e-3
+    assert "about y and -0.57" in found.answer.sentence and "about z" in found.answer.sentence
+    files = corrections(recording, found).files
+    again = parse_calibration("again", files["corrected_pointer.json"].encode(), WALL)
+    about = again.mounting.base_inclination_rad
+    np.testing.assert_allclose(about, [0.0, 0.02, -0.01], atol=1e-3)
+    assert np.flatnonzero(again.mounting.std).tolist() == [10, 11]
 
 
 @pytest.mark.parametrize("name", CORRECTED)

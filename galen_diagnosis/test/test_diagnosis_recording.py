@@ -1,11 +1,15 @@
 """What a recording is read into, against which nominal model, and how effects change its rows."""
 
 import shutil
+import struct
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from galen_bags.arrays.arm_recording import ArmRecording
+from galen_bags.formats.bag import open_bag
+from galen_bags.formats.writer import BagWriter
+from galen_diagnosis.diagnose import main
 from galen_diagnosis.observation.observation import Observation, Unknowns
 from galen_diagnosis.observation.recording import _REACH_S, _Arm, read_recording
 from galen_diagnosis.simulated_recording import make_recording, sweep_poses
@@ -43,6 +47,33 @@ def test_a_recording_has_its_directorys_name_also_from_within(made, monkeypatch)
     assert read.name == made.name
     assert read.missing == ("motion", "push")
     assert not read.problems
+
+
+def test_wrenches_in_the_base_s_axes_are_turned_back(made, tmp_path, capsys):
+    folder = shutil.copytree(made, tmp_path / "r", ignore=shutil.ignore_patterns("sweep"))
+    right = read_recording(made).bags["sweep"]
+    angles = GALEN.angles(right.joints)
+    then = [np.interp(right.wrench_s, right.joint_s, column) for column in angles.T]
+    turn = GALEN.rotation(np.column_stack(then))
+    inside = np.stack(np.split(right.wrenches, 2, axis=1), axis=2)
+    turned = np.swapaxes(turn @ inside, 1, 2).reshape(-1, 6)
+    with open_bag(made / "sweep") as bag, BagWriter(folder / "sweep") as out:
+        names, row = list(bag.topics), 0
+        topics = [out.add_topic(name, bag.topics[name].type_name) for name in names]
+        for block in bag.blocks(names):
+            for k in range(len(block)):
+                message = bytes(block.message(k))
+                if names[block.topic[k]].endswith("wrench_raw"):
+                    message = message.replace(b"ft_sensor", b"base_link")[:-48]
+                    message += struct.pack("<6d", *turned[row])
+                    row += 1
+                out.write(topics[block.topic[k]], int(block.log_time_ns[k]), message)
+    back = read_recording(folder, wrench_frame="base").bags["sweep"]
+    np.testing.assert_allclose(back.wrenches, right.wrenches, atol=1e-9)
+    options = [str(folder), "--output", str(tmp_path / "found"), "--no-report"]
+    assert main(options) == 1
+    assert "'base_link'" in (error := capsys.readouterr().err) and "--wrench-frame base" in error
+    assert main([*options, "--wrench-frame", "base"]) == 0
 
 
 @pytest.mark.parametrize("within", ["", "sweep.mcap"])

@@ -1,5 +1,6 @@
 """A wrong set-up is named before a cause is looked for; what can't be told apart is one answer."""
 
+import json
 from types import SimpleNamespace
 
 import numpy as np
@@ -22,12 +23,13 @@ NOISE = np.array([0.02, 0.02, 0.02, 1e-3, 1e-3, 1e-3])
 DOWN = np.array([0.0, 0.0, -9.80665])
 
 
-def table(path, inclined_deg, repeats=1):
-    """Readings at orientations of a base that is inclined about y."""
+def table(path, inclined_deg, repeats=1, count=24, odd_n=0.0):
+    """Readings at orientations of a base that is inclined about y; odd_n: each is off by this."""
     rng = np.random.default_rng(4)
-    rotation = Rotation.random(24, rng).as_matrix()
+    rotation = Rotation.random(count, rng).as_matrix()
     gravity = rot_y(np.radians(inclined_deg)).T @ DOWN
     wrench = gravity_wrench(np.einsum("nji,j->ni", rotation, gravity), LOAD)
+    wrench += odd_n * np.repeat([1.0, 0.05], 3) * rng.normal(size=wrench.shape)
     wrench += NOISE * rng.normal(size=wrench.shape)
     rows = np.hstack([wrench, Rotation.from_matrix(rotation).as_quat()])
     lines = [",".join(f"{value:.6f}" for value in row) for row in rows for _ in range(repeats)]
@@ -44,6 +46,35 @@ def test_a_table_of_an_inclined_base_is_not_called_a_cable(tmp_path, capsys):
     assert not (tmp_path / "found").exists()
     assert main([tilted, *options, "--gravity", "3.35407", "0", "-9.21524"]) == 0
     assert "cable" not in capsys.readouterr().out.split("not identifiable")[0].split("tested")[0]
+
+
+def diagnosed(path, tmp_path, *options):
+    out = tmp_path / "found"
+    assert main([path, "--output", str(out), "--no-report", "--overwrite", *options]) == 0
+    return json.loads((out / "diagnosis.json").read_text())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("inclined_deg", [4.0, 20.0])
+def test_a_large_inclination_is_found_with_its_angle(tmp_path, inclined_deg):
+    path = table(tmp_path / "t.csv", inclined_deg, count=12)
+    found = diagnosed(path, tmp_path, "--no-setup-check")
+    (cause,) = found["causes"]
+    assert cause["effect"] == "base_inclination"
+    about_y = np.degrees(cause["parameters"]["about_y_rad"]["value"])
+    assert about_y == pytest.approx(inclined_deg, abs=0.3)
+
+
+def test_a_healthy_table_without_a_known_noise_has_no_gap(tmp_path):
+    found = diagnosed(table(tmp_path / "t.csv", 0.0, count=12), tmp_path)
+    assert found["verdict"] == "none" and found["gap"]["closed_fraction"] is None
+    assert "the noise isn't known" in found["problems"][0]
+
+
+@pytest.mark.slow
+def test_a_scatter_of_a_third_of_the_weight_is_not_taken_for_noise(tmp_path):
+    path = table(tmp_path / "t.csv", 0.0, count=12, odd_n=1.5)
+    assert diagnosed(path, tmp_path)["verdict"] == "unknown"
 
 
 def test_repeated_rows_count_once_and_have_an_answer(tmp_path, capsys):

@@ -24,7 +24,7 @@ TURNED = replace(
     Mounting.of(GALEN),
     sensor_rotvec_rad=np.array([0.1, -0.2, 0.15]),
     axis_gain=np.array([0.02, -0.03, 0.01, 0.04, -0.02, 0.03]),
-    base_inclination_rad=np.array([0.05, -0.08]),
+    base_inclination_rad=np.array([0.05, -0.08, 0.0]),
     joint_zero_rad=np.array([0.03, 0.06]),
 )
 TOOL = tool_file(
@@ -140,7 +140,7 @@ def test_a_table_rejects_what_it_can_not_tell(table, capsys):
 
 
 def test_an_inclined_base_is_followed_in_a_table_of_angles(tmp_path):
-    only = replace(Mounting.of(GALEN), base_inclination_rad=np.array([0.05, -0.08]))
+    only = replace(Mounting.of(GALEN), base_inclination_rad=np.array([0.05, -0.08, 0.0]))
     tool = replace(TOOL, mounting=only, gravity_m_s2=np.array([0.0, 0.0, -9.80665]))
     path = tmp_path / "angles.csv"
     roll, tilt = np.random.default_rng(3).uniform(-1.0, 0.9, (2, 16))

@@ -47,7 +47,7 @@ GRAVITY = np.array([0.0, 0.0, -9.80665])
 def mounting(seed=3, size=1.0, only=None, arm=GALEN):
     """Rotation 1 deg, gains 1 %, inclination and zeros 0.5 deg, times `size`; `only` some."""
     rng, zeros = np.random.default_rng(seed), len(arm.turning)
-    vector = np.repeat([DEG, 0.01, 0.5 * DEG, 0.5 * DEG], [3, 6, 2, zeros])
+    vector = np.repeat([DEG, 0.01, 0.5 * DEG, 0.5 * DEG], [3, 6, 3, zeros])
     vector *= rng.uniform(-1, 1, len(vector))
     if only is not None:
         basis = np.array([e.direction for e in entities(only, arm)])
@@ -69,10 +69,9 @@ def base_from_sensor(angles):
     return data.oMf[SIX_MODEL.getFrameId("ft_sensor")].rotation
 
 
-def true_wrench(mounted, angles, load):
+def true_wrench(mounted, angles, load, gravity=GRAVITY):
     """Weight in ft_sensor, by Pinocchio's frames and torque about the sensor's origin in base."""
-    a, b = mounted.base_inclination_rad
-    down = (Rotation.from_euler("x", a) * Rotation.from_euler("y", b)).inv().apply(GRAVITY)
+    down = Rotation.from_euler("XYZ", mounted.base_inclination_rad).inv().apply(np.array(gravity))
     wrenches = []
     for pose in np.atleast_2d(angles) + mounted.joint_zero_rad:
         rotation = Rotation.from_matrix(base_from_sensor(pose))
@@ -89,10 +88,10 @@ def sensed(mounted, wrench):
     return axes * (1.0 + mounted.axis_gain)
 
 
-def reading(mounted, angles, tool):
+def reading(mounted, angles, tool, gravity=GRAVITY):
     """As the sensor reads, zeroed at home with the adapter on: one reading less another."""
-    both = true_wrench(mounted, angles, tool) + true_wrench(mounted, angles, ADAPTER)
-    home = true_wrench(mounted, np.zeros(np.shape(angles)[-1]), ADAPTER)
+    both = sum(true_wrench(mounted, angles, load, gravity) for load in (tool, ADAPTER))
+    home = true_wrench(mounted, np.zeros(np.shape(angles)[-1]), ADAPTER, gravity)
     return sensed(mounted, both) - sensed(mounted, home)
 
 
@@ -100,7 +99,7 @@ def sweeps(mounted, rng=None, noise=SIGMA, poses=None, tool=RETRACTOR, arm=GALEN
     angles = grid() if poses is None else poses
     made = []
     for load in (NOTHING, tool):
-        wrench = reading(mounted, angles, load)
+        wrench = reading(mounted, angles, load, arm.gravity_m_s2)
         if rng is not None:
             wrench = wrench + noise * rng.standard_normal(wrench.shape)
         made.append(StillPoses(angles, wrench, arm=arm))
@@ -251,13 +250,62 @@ def test_joints_without_an_effect_keep_their_zero_and_parallel_ones_share_one():
 
 def test_gravity_along_any_axis_of_the_base_is_inclined_with_it():
     mounted, angles = mounting(size=20.0, arm=SIX), six_poses(3)
-    a, b = mounted.base_inclination_rad
-    turn = (Rotation.from_euler("x", a) * Rotation.from_euler("y", b)).inv()
+    turn = Rotation.from_euler("XYZ", mounted.base_inclination_rad).inv()
     expected = [
         base_from_sensor(one + mounted.joint_zero_rad).T @ turn.apply(WALL.gravity_m_s2)
         for one in angles
     ]
     np.testing.assert_allclose(mounted.gravity_in_sensor(angles, WALL), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("direction", "axes"),
+    [((1.0, 0.0, 0.0), "yz"), ((0.0, -1.0, 0.0), "xz"), ((1.0, 1.0, 1.0), "xy")],
+)
+def test_an_inclination_shows_wherever_gravity_points(direction, axes):
+    """Two angles of 2 to 4 degrees, against the bound of Cramer and Rao."""
+    gravity = 9.80665 * np.array(direction) / np.linalg.norm(direction)
+    arm, poses, rng = replace(SIX, gravity_m_s2=gravity), six_poses(20), np.random.default_rng(4)
+    at = ["xyz".index(axis) for axis in axes]
+    angles = np.zeros(3)
+    angles[at] = 0.07, -0.04
+    mounted = replace(Mounting.of(arm), base_inclination_rad=angles)
+    made = sweeps(mounted, rng, poses=poses, arm=arm)
+    found = identify_two_sweeps_mounted(*made, ["base_inclination"])
+    error = found.mounting.base_inclination_rad - angles
+    assert error["xyz".index(*set("xyz") - set(axes))] == 0.0
+
+    def expected(values):
+        tool, adapter = (Load(one[0], one[1:4] / one[0]) for one in (values[:4], values[4:8]))
+        inclined = angles.copy()
+        inclined[at] = values[20:]
+        turned = replace(mounted, base_inclination_rad=inclined)
+        both = [true_wrench(turned, poses, load, gravity) for load in (tool, adapter)]
+        home = true_wrench(turned, np.zeros(6), adapter, gravity)
+        rows = [both[1] - home + values[8:14], both[0] + both[1] - home + values[14:20]]
+        return (np.concatenate(rows) / SIGMA).ravel()
+
+    truth = np.concatenate([RETRACTOR.moments, ADAPTER.moments, np.zeros(12), angles[at]])
+    steps = 1e-6 * np.eye(22)
+    jacobian = np.array([(expected(truth + s) - expected(truth - s)) / 2e-6 for s in steps])
+    bound = np.linalg.inv(jacobian @ jacobian.T)[20:, 20:]
+    assert error[at] @ np.linalg.solve(bound, error[at]) < chi2.ppf(0.999, 2)
+    std = found.mounting.std[[9 + k for k in at]]
+    np.testing.assert_allclose(std, np.sqrt(np.diag(bound)), rtol=0.3)
+    assert "base_inclination_z" in groups_of(arm)
+    back = Mounting.from_json(found.mounting.to_json(), "mounting", arm)
+    np.testing.assert_array_equal(back.vector, found.mounting.vector)
+    np.testing.assert_array_equal(back.covariance, found.mounting.covariance)
+
+
+def test_along_z_a_file_has_two_angles_and_a_turn_about_gravity_does_not_show():
+    whole = Mounting(base_inclination_rad=np.array([0.02, -0.03, 0.0])).to_json()
+    assert whole["base_inclination_rad"] == {"about_x": 0.02, "about_y": -0.03}
+    assert np.shape(whole["covariance"]) == (13, 13)
+    assert Mounting.from_json(whole, "mounting").base_inclination_rad.tolist() == [0.02, -0.03, 0.0]
+    made = sweeps(Mounting(), np.random.default_rng(1), poses=grid(4, 5))
+    with pytest.raises(NotExcitedError, match="the base's inclination about z"):
+        identify_two_sweeps_mounted(*made, ["base_inclination_z"])
 
 
 def test_a_weighed_load_with_a_known_centre_tells_every_gain():
@@ -345,8 +393,8 @@ def test_one_sweep_tells_the_mounting_too():
     _, tool = sweeps(mounted, np.random.default_rng(14))
     found = identify_one_sweep_mounted(tool, ["joint_zero"])
     error = found.mounting.joint_zero_rad - mounted.joint_zero_rad
-    assert np.all(np.abs(error) < 4.0 * found.mounting.std[11:])
-    assert found.mounting.std[11:].max() < 0.1 * DEG
+    assert np.all(np.abs(error) < 4.0 * found.mounting.std[12:])
+    assert found.mounting.std[12:].max() < 0.1 * DEG
     assert found.unresolved
     with pytest.raises(NotExcitedError, match="common force gain and the masses"):
         identify_one_sweep_mounted(tool, ["force_gain"])
@@ -404,7 +452,7 @@ def test_the_intervals_hold():
 
 
 def test_a_file_holds_the_mounting_and_rejects_a_broken_one(tmp_path):
-    covariance = np.diag(np.arange(13) * 1e-8)
+    covariance = np.diag(np.arange(14) * 1e-8)
     mounted = replace(mounting(), estimated=("sensor_rotation",), covariance=covariance)
     path = tmp_path / "retractor.json"
     write_calibration(path, tool_file(mounted))
@@ -438,6 +486,6 @@ def test_what_can_not_be_asked_for_is_said():
         KnownLoad(0.0, 1e-3)
     with pytest.raises(IdentificationError, match="known centre"):
         KnownLoad(0.1, 1e-3, np.zeros(3))
-    assert len(parameters(GALEN.turning_names)) == 13
+    assert len(parameters(GALEN.turning_names)) == 14
     basis = np.array([e.direction for group in ALL for e in groups_of(arm=GALEN)[group]])
     assert np.linalg.matrix_rank(basis) == 13

@@ -344,6 +344,7 @@ def test_bad_numbers_are_named(name, parameters, words):
         ("tilt_zero_offset", {"offset_rad": 0.01}, JointZeroOffset("tilt", 0.01)),
         ("tilt_gain", {"gain": 0.02}, JointGain("tilt", 0.02)),
         ("tilt_axis_misalignment", {"about_z_rad": 0.03}, JointAxisMisalignment("tilt", "z", 0.03)),
+        ("base_inclination", {"about_z_rad": 0.02}, BaseInclination(about_z_rad=0.02)),
         (
             "joint_compliance",
             {"k_tilt": 900.0, "k_rod": 1e6},

@@ -11,7 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from galen_bags.arrays.arm_recording import ARM_FILE, ArmRecording, read_arm
+from galen_bags.arrays.arm_recording import ARM_FILE, ArmRecording, ArmTopics, read_arm
 from galen_bags.arrays.marker_tracks import marker_track, read_poses
 from galen_bags.formats.bag import open_bag, robot_description
 from galen_bags.formats.errors import BagError
@@ -40,7 +40,7 @@ from galen_model.rest.binned import CellReducer, find_still_phases
 from galen_model.setup_check.check import SetupError, check_setup
 from galen_model.setup_check.readings import at_angles
 from galen_sim_driver.effects.effect import Effect
-from galen_sim_driver.effects.joints import BaseInclination, JointZeroOffset
+from galen_sim_driver.effects.joints import JointZeroOffset, base_inclination
 from galen_sim_driver.effects.sensor import AxisGain, SensorMountRotation
 
 from galen_diagnosis.observation.rows import BAGS
@@ -124,7 +124,7 @@ class DiagnosticRecording:
         zeros = zip(mounting.joints, mounting.joint_zero_rad.tolist(), strict=True)
         every: tuple[Effect, ...] = (
             *(JointZeroOffset(joint, zero, nominal=self.arm) for joint, zero in zeros),
-            BaseInclination(*mounting.base_inclination_rad.tolist()),
+            base_inclination(self.arm.gravity_m_s2)(*mounting.base_inclination_rad.tolist()),
             SensorMountRotation(tuple(mounting.sensor_rotvec_rad.tolist())),
             AxisGain(tuple(mounting.axis_gain.tolist())),
         )
@@ -149,12 +149,14 @@ def read_recording(
     tool: str | os.PathLike[str] | None = None,
     *,
     inertial_forces: bool = False,
+    wrench_frame: str = "sensor",
 ) -> DiagnosticRecording:
     """Read a recording's directory; raises GalenError.
 
     The arm is that of `arm.urdf` in it, or of `robot_description` in its bags, else the Galen.
     tool: the tool's file, where it isn't the directory's own tool.json. inertial_forces: the
-    nominal model has those of tool and adapter, with the file's masses. Missing bags are named in
+    nominal model has those of tool and adapter, with the file's masses. wrench_frame: "sensor", or
+    "base" where wrenches are written in the base's axes. Missing bags are named in
     `missing`; without any there is nothing to diagnose.
     """
     path = Path(path)
@@ -167,7 +169,7 @@ def read_recording(
     problems: list[str] = []
     for name in BAGS:
         if (path / name).exists():
-            arms[name] = read_arm(path / name, arm=robot)
+            arms[name] = read_arm(path / name, ArmTopics(wrench_frame=wrench_frame), robot)
             problems += [f"{name}: {problem}" for problem in arms[name].problems]
     for name, arm in arms.items():
         _check_frames(path / name, arm, tool_file)
@@ -274,8 +276,8 @@ def _check_frames(path: Path, arm: ArmRecording, tool: CalibrationFile) -> None:
     other = [frame for frame in arm.frame_ids if frame and frame != tool.sensor_frame]
     if other:
         raise GalenError(
-            f"{path}: wrenches in frame {other[0]!r}, but the tool's file is for "
-            f"{tool.sensor_frame!r}"
+            f"{path}: wrenches in frame {other[0]!r}, but the tool's file is for"
+            f" {tool.sensor_frame!r}; --wrench-frame base turns them out of the base's axes"
         )
 
 

@@ -34,8 +34,8 @@ from galen_model.files.calibration_file import (
 from galen_model.json_fields import LONGEST_SENTENCE
 from galen_model.load.inertia import point_mass_inertia
 from galen_model.load.model import LoadEstimate
-from galen_model.load.mounting import Mounting
-from galen_model.rotation import about, matrix_to_rotvec, rot_x, rot_y, rotvec_to_matrix
+from galen_model.load.mounting import Mounting, inclination, inclination_axes
+from galen_model.rotation import about, matrix_to_rotvec, rotvec_to_matrix
 from galen_sim_driver.effects.effect import Effect
 from galen_sim_driver.effects.joints import (
     BaseInclination,
@@ -105,7 +105,7 @@ def corrections(recording: DiagnosticRecording, diagnosis: Diagnosis) -> Correct
                 f" {1.0 + effect.gain:.6f} times its angle"
             )
         if isinstance(effect, BaseInclination):
-            angles = _angles(rot_x(effect.about_x_rad) @ rot_y(effect.about_y_rad))
+            angles = _angles(inclination(effect.angles_rad).T)
             turn = " ".join(f"{angle:.6f}" for angle in angles)
             sentences.append(
                 "inclined base: programs that take gravity from a robot description need a level"
@@ -213,11 +213,11 @@ def corrected_tool(
             spread[range(3), range(3)] += own
             estimated.append("sensor_rotation")
         elif isinstance(effect, BaseInclination):
-            more = np.array([effect.about_x_rad, effect.about_y_rad])
             # Of two turns the sum: what they don't commute by is of second order.
-            inclined = mounting.base_inclination_rad + more
+            inclined = mounting.base_inclination_rad + effect.angles_rad
             mounting = replace(mounting, base_inclination_rad=inclined)
-            spread[range(9, 11), range(9, 11)] += own
+            at = [9 + "xyz".index(axis) for axis in inclination_axes(arm.gravity_m_s2)]
+            spread[at, at] += own
             estimated.append("base_inclination")
     new = LoadEstimate(mass_kg, com_m, covariance)
     inertia = file.inertia

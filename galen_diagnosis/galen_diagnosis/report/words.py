@@ -65,7 +65,7 @@ SENTENCES = {
     "joint_gain": "the {joint} joint turns by {gain} more than it reports",
     "joint_axis_misalignment": "the {joint} axis is turned by {angle_rad} about {about} of its"
     " parent link",
-    "base_inclination": "the base is inclined, by {about_x_rad} about x and {about_y_rad} about y",
+    "base_inclination": "the base is inclined, by {inclination}",
     "sensor_mount_rotation": "the sensor is turned in its mount, by {rotvec_rad}",
     "axis_gain": "the sensor's axes read too much, by {gain}",
     "crosstalk": "the sensor reads {coefficient} of {from} in {to}",
@@ -231,6 +231,9 @@ def cause_words(cause: FoundCause) -> str:
     """Write what an effect does, as a part of a sentence with its numbers."""
     parameters = cause.parameters
     words = {name: parameter_words(cause.effect, name, parameters) for name in parameters}
+    angles = [f"{words[name]} about {name[6]}" for name in words if name.startswith("about_")]
+    if angles:
+        words["inclination"] = " and ".join(angles)
     try:
         return SENTENCES[cause.effect].format(**words, joint=cause.joint or "measured")
     except KeyError:  # an effect or a parameter without words

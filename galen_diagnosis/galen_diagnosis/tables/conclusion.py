@@ -49,7 +49,8 @@ def diagnose_blocks(
     if parts is not None:
         before, after = parts
         closed = closed_fraction(rows, before, after, floor)
-    verdict = _verdict(found, closed)
+    # Of a floor that is not known noise is in what is to be closed.
+    verdict = _verdict(found, closed if rows.floor_known or not best.floor_only else None)
     remains = not best.floor_only and np.mean(after**2) > max(floor, 1e-12) * _ABOVE_FLOOR
     causes = [
         FoundCause(
@@ -65,7 +66,10 @@ def diagnose_blocks(
     if verdict == UNKNOWN or (best.effects and remains and rows.floor_known):
         causes.append(FoundCause(UNKNOWN, round(_unexplained(found), 4), {}, (), None))
     ranking = sorted(found.inclusion.items(), key=lambda item: -item[1])
-    no_floor = "the noise floor isn't known: closed fractions are of the whole residual"
+    no_floor = (
+        "the noise isn't known (--noise): what hangs together with nothing is taken for it, closed"
+        " fractions are of the whole residual"
+    )
     answer = Answer(
         recording=name,
         verdict=verdict,

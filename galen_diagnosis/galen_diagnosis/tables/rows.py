@@ -24,7 +24,7 @@ half width over half the range of the lag, since a joint's run has no zero load 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -48,7 +48,11 @@ _SAME_GRAVITY_RAD = 0.03
 _WIDE = np.array([10.0, 1.0, 1.0, 1.0, *[100.0] * 3, *[10.0] * 3])
 """Mass (kg), first moments (kg.m), constants: nothing is known of them."""
 _LONGEST_CURVE_S = 3.0
-_NO_FLOOR = 1.0 / 30.0
+_NO_FLOOR = 1.0 / 300.0
+_LEVELS = np.geomspace(1.0, 600.0, 14)
+"""What a floor that is not known may be, over a 300th of the residual."""
+_MOST_NOISE = 0.1
+"""Of how forces change: what is more is not taken for noise."""
 
 
 @dataclass(frozen=True)
@@ -96,6 +100,8 @@ def prepare_table(
     if floor is None:
         spread = np.repeat([residual[:, :3].std(), residual[:, 3:].std()], 3)
         floor = Floor(_NO_FLOOR * spread, 0.0, 1.0, "not known")
+        most = _MOST_NOISE * np.std(averaged.wrench[:, :3] - averaged.wrench[:, :3].mean(axis=0))
+        levels = tuple(_LEVELS[_LEVELS * floor.std[0] < most].tolist())
     notes.append(f"floor: {floor.source}")
     rows = BlockRows(
         channels=WRENCH_AXES,
@@ -110,8 +116,10 @@ def prepare_table(
         floor_known=known,
         memories_s=(float("inf"), 1e-6),
     )
+    if not known:
+        rows = replace(rows, levels=levels, memories_s=(float("inf"),))
     known_load, by_order = tool is not None, table.time is None
-    effects = table_effects(plant, nominal, known_load=known_load, by_order=by_order)
+    effects = table_effects(plant, averaged, nominal, known_load=known_load, by_order=by_order)
     return rows, effects, tuple(notes)
 
 

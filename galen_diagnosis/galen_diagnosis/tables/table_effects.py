@@ -18,19 +18,27 @@ A cable's pull along gravity weighs as mass does, so that its tension here is th
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 
 import numpy as np
+from galen_bags.arrays.tables import OrientationTable
 from galen_model.arm.galen import GRAVITY_M_S2, WRENCH_AXES
 from galen_model.arrays import Array
+from galen_model.errors import IdentificationError
 from galen_model.evidence.held_out import Columns, Effects
 from galen_model.load.model import Load
+from galen_model.load.mounting import inclination_axes
+from galen_model.load.mounting_identification import identify_single_load_mounted
 from galen_model.rotation import skew
 from galen_sim_driver.effects.effect import Effect, Fitted, Instants
+from galen_sim_driver.effects.joints import base_inclination
 from galen_sim_driver.effects.registry import EFFECTS
 
 _HOUR_S = 3600.0
 _STEP = 1e-3
+_INCLINATIONS_RAD = (0.01, 0.1)
+"""Usual sizes: of a base that is meant to be level, and of a mount that isn't known."""
 _DRIFT_LENGTHS = (1.0, 0.25, 0.08)
 """Over the table's span; what bends faster than this, in s, is no bias drift."""
 _FASTEST_DRIFT_S = 10.0
@@ -42,7 +50,7 @@ _SATURATION_SHARES = (0.97, 0.9, 0.75)
 _KEPT = 0.999
 _FEWEST_YAWS = 3
 
-_BY_HOOKS = ("base_inclination", "sensor_mount_rotation", "axis_gain", "loose_tool")
+_BY_HOOKS = ("sensor_mount_rotation", "axis_gain", "loose_tool")
 _OF_THE_LOAD = ("tool_mass_error", "tool_com_error")
 
 
@@ -98,9 +106,14 @@ class TablePlant:
 
 
 def table_effects(
-    plant: TablePlant, nominal: Columns, *, known_load: bool, by_order: bool
+    plant: TablePlant,
+    table: OrientationTable,
+    nominal: Columns,
+    *,
+    known_load: bool,
+    by_order: bool,
 ) -> Effects:
-    """Return all effects that a table can show.
+    """Return all effects that a table, of n readings, can show.
 
     known_load: the load is a file's and not fitted, so that it may be wrong. by_order: the order of
     readings is all that is known of time.
@@ -108,10 +121,11 @@ def table_effects(
     of: dict[str, Sequence[Columns]] = {}
     cannot: list[str] = []
     for name in (*_BY_HOOKS, *(_OF_THE_LOAD if known_load else ())):
-        if name == "base_inclination" and plant.rotation is None:
-            cannot.append("base_inclination: the table has gravity alone, not the rotation")
-            continue
         of[name] = [_by_hooks(plant, EFFECTS[name]())]
+    if plant.rotation is None:
+        cannot.append("base_inclination: the table has gravity alone, not the rotation")
+    else:
+        of["base_inclination"] = _inclinations(plant, table, known_load)
     of["crosstalk"] = [
         _by_hooks(plant, EFFECTS["crosstalk"](from_axis=a, to_axis=b), {"from": a, "to": b})  # type: ignore[call-arg]
         for a in WRENCH_AXES
@@ -131,6 +145,38 @@ def table_effects(
     of["bias_step"] = _steps(plant.at_s)
     cannot.append("inertial_load, wrench_delay: rest segments have no motion")
     return Effects(nominal, of, tuple(cannot))
+
+
+def _inclinations(plant: TablePlant, table: OrientationTable, known_load: bool) -> list[Columns]:
+    """Return the columns of each usual size, exact at the load and angles that fit together.
+
+    A load that was fitted under a wrong direction of gravity is a wrong one.
+    """
+    gravity = table.arm.gravity_m_s2
+    level, angles = base_inclination(gravity)(), np.zeros(2)
+    if not known_load:
+        with suppress(IdentificationError):
+            found = identify_single_load_mounted(
+                plant.gravity, table.wrench, ["base_inclination"], plant.rotation, arm=table.arm
+            )
+            axes = ["xyz".index(axis) for axis in inclination_axes(gravity)]
+            angles = found.mounting.base_inclination_rad[axes]
+            plant = replace(plant, load=found.single.load.load)
+    whole = plant.change(level.with_vector(angles))
+    moved = [plant.change(level.with_vector(angles + step)) for step in _STEP * np.eye(2)]
+    slope = (np.stack(moved, axis=2) - whole[:, :, None]) / _STEP
+    if np.any(angles):
+        slope += np.multiply.outer(whole - slope @ angles, angles / (angles @ angles))
+    return [
+        Columns(
+            usual * slope,
+            {
+                part.name: _numbers(part, at, np.full(2, usual))
+                for at, part in enumerate(level.fitted)
+            },
+        )
+        for usual in _INCLINATIONS_RAD
+    ]
 
 
 def drift_columns(at_s: Array, by_order: bool = False) -> list[Columns]:

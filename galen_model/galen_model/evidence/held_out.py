@@ -72,7 +72,8 @@ class BlockRows:
     standard deviation that noise alone gives a row. alike, memory_s: how noise hangs together,
     correlation alike * exp(-dt / memory_s) beside white. at_s (n,); block (n,): 0 ... B - 1;
     labels: of the blocks. floor_known: whether anything told the floor; if not, `floor` is only a
-    unit. memories_s: how long what a model lacks may hang together; inf: all of a block.
+    unit. levels: how many times the floor noise alone may be; empty: it is never alone. memories_s:
+    how long what a model lacks may hang together; inf: all of a block.
     """
 
     channels: tuple[str, ...]
@@ -85,6 +86,7 @@ class BlockRows:
     alike: float = 0.0
     memory_s: float = 1.0
     floor_known: bool = True
+    levels: tuple[float, ...] = (0.8, 1.0, 1.25)
     memories_s: tuple[float, ...] = (float("inf"),)
 
     def __len__(self) -> int:
@@ -124,21 +126,18 @@ class NoiseForm:
         return np.asarray(self.white**2 * floor + self.size**2 * lacking)
 
 
-FLOOR_FORMS = (NoiseForm(0.8), NoiseForm(1.0), NoiseForm(1.25))
-"""Noise alone: an estimated floor may be wrong by a quarter."""
-
 _SIZES = (0.7, 2.0, 6.0, 18.0, 50.0, 150.0)
 
 
 def noise_forms(rows: BlockRows) -> tuple[NoiseForm, ...]:
-    """FLOOR_FORMS first, then what something that is missing may be like."""
+    """Noise alone at its levels first, then what something that is missing may be like."""
     more = [NoiseForm(1.0, size, memory) for memory in rows.memories_s for size in _SIZES]
-    return (*FLOOR_FORMS, *more)
+    return (*map(NoiseForm, rows.levels), *more)
 
 
 _NEGLIGIBLE_NATS = 15.0
 _SWEEPS = 2
-_NOISE_AS_IT_IS = 1  # of FLOOR_FORMS
+_NOISE_AS_IT_IS = 1  # of the levels of a known floor
 _MORE_THAN_NOISE_NATS = 4.0
 """What a channel's evidence must gain before it counts as more than noise."""
 
@@ -233,12 +232,12 @@ class BlockEvidence:
 
     def _best_forms(self, of_each: Information, floor_only: bool) -> np.ndarray:
         """Of each channel (C,), by coordinate ascent of the evidence of all blocks."""
-        allowed = slice(0, len(FLOOR_FORMS) if floor_only else None)
+        allowed = slice(0, len(self.rows.levels) if floor_only else None)
         whole = _picked(of_each, (slice(None), allowed)).total()  # (C, F)
         prior = Prior.unit(whole.right.shape[-1])
         channels = np.arange(len(whole.right))
         doubt = np.zeros(whole.rest.shape[1])
-        doubt[len(FLOOR_FORMS) :] = _MORE_THAN_NOISE_NATS if self.rows.floor_known else 0.0
+        doubt[len(self.rows.levels) :] = _MORE_THAN_NOISE_NATS
         forms = np.argmax(log_evidence(whole, prior) - doubt, axis=1)
         for _ in range(_SWEEPS):
             before = forms.copy()
@@ -276,8 +275,8 @@ class BlockEvidence:
         if not found:
             return None
         best = max(found, key=lambda one: one[0])
-        noise_alone = bool(np.all(best[2] < len(FLOOR_FORMS)))
-        if noise_alone and not floor_only and self.rows.floor_known:
+        noise_alone = bool(np.all(best[2] < len(self.rows.levels)))
+        if noise_alone and not floor_only:
             return None  # the same as with the floor only
         kept = [one for one in found if one[0] > best[0] - _NEGLIGIBLE_NATS]
         left_out = [blocks.without_each() for *_, blocks in kept]

@@ -99,7 +99,7 @@ class _Search:
     def try_sets(self, names: tuple[str, ...], sets: Sequence[tuple[Columns, ...]]) -> None:
         self.progress(" + ".join(names) or NONE)
         for floor_only in (True, False):
-            if floor_only and not self.evidence.rows.floor_known:
+            if floor_only and not self.evidence.rows.levels:
                 continue
             key = (frozenset(names), floor_only)
             if key in self.tried:

@@ -3,9 +3,9 @@
 With the conventions of the effects `sensor_mount_rotation`, `axis_gain`, `base_inclination`,
 `joint_zero_offset`: S = exp(rotvec) turns the sensing element in the sensor's frame
 (the tool is not turned), reading_k = (1 + g_k) true_k, gravity in the base's frame is
-(Rx(a) Ry(b))^T g with the arm's g, and a true angle is the reported one plus its zero. So
+(Rx(a) Ry(b) Rz(c))^T g with the arm's g, and a true angle is the reported one plus its zero. So
 
-    u(q)    = R_base_sensor(q + zeros)^T (Rx(a) Ry(b))^T g
+    u(q)    = R_base_sensor(q + zeros)^T (Rx(a) Ry(b) Rz(c))^T g
     reading = M w(u),   M = diag(1 + g) blockdiag(S^T, S^T)
 
 for a wrench w in the sensor's frame. The element reads about the same origin, so force and torque
@@ -18,6 +18,9 @@ The parameters of sensor and mounting, by the names under which they are asked f
 Six gains hold two that no reading can tell without a weighed load: the mean of the three force
 gains is a mass, that of the torque gains a centre. So gains are taken apart into their two means
 and four ratios.
+
+A turn about gravity changes nothing: an inclination is two angles, about the base's axes other than
+the one nearest to gravity, and the third stays at zero.
 
 Not every joint's zero changes gravity in the sensor. That of a joint about gravity itself, as of
 most arms' first one, stays at zero; of joints in a row with parallel axes, as a UR's second to
@@ -36,20 +39,19 @@ from galen_model.arm.galen import GALEN, WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.errors import IdentificationError
 from galen_model.json_fields import FieldError, array, get, mapping, number, numbers, texts
-from galen_model.rotation import rotvec_to_matrix
+from galen_model.rotation import rot_x, rot_y, rot_z, rotvec_to_matrix
 
 _PARAMETERS = (
     *(f"the sensor's rotation about {axis}" for axis in "xyz"),
     *(f"the gain of {axis}" for axis in WRENCH_AXES),
-    "the base's inclination about x",
-    "the base's inclination about y",
+    *(f"the base's inclination about {axis}" for axis in "xyz"),
 )
 ZEROS = len(_PARAMETERS)
 """Where the joints' zeros begin among the parameters."""
 
 
 def parameters(joints: Sequence[str]) -> tuple[str, ...]:
-    """Order of a mounting's 11 + k parameters, rad but for gains; joints: the k revolute ones."""
+    """Order of a mounting's 12 + k parameters, rad but for gains; joints: the k revolute ones."""
     return (*_PARAMETERS, *(f"the {name} joint's zero" for name in joints))
 
 
@@ -60,10 +62,15 @@ COMMON_ZERO = "the common zero of the joints"
 
 @dataclass(frozen=True)
 class Entity:
-    """A direction (11 + k,) among the parameters that is told, or not, as one; its name."""
+    """A direction (12 + k,) among the parameters that is told, or not, as one; its name."""
 
     name: str
     direction: Array
+
+
+def inclination_axes(gravity: ArrayLike) -> str:
+    """Return the two base axes of an inclination under gravity (3,) in the base: "xy" along z."""
+    return "xyz".replace("zyx"[int(np.argmax(np.abs(np.asarray(gravity))[::-1]))], "")
 
 
 def groups_of(arm: Arm) -> dict[str, tuple[Entity, ...]]:
@@ -90,12 +97,14 @@ def groups_of(arm: Arm) -> dict[str, tuple[Entity, ...]]:
         gain("the ratio of the gains of tx and ty", 6, 1.0, -1.0, 0.0),
         gain("the ratio of the gain of tz to those of tx and ty", 6, -0.5, -0.5, 1.0),
     )
-    inclination = (single(9), single(10))
+    inclination = tuple(single(index) for index in range(9, ZEROS))
     zero = tuple(single(ZEROS + k) for k in range(len(joints)))
     return {
         "sensor_rotation": rotation,
         "axis_gain": (force, *force_ratio, torque, *torque_ratio),
-        "base_inclination": inclination,
+        "base_inclination": tuple(
+            inclination["xyz".index(axis)] for axis in inclination_axes(arm.gravity_m_s2)
+        ),
         "joint_zero": _told_zeros(arm, zero),
         "sensor_rotation_x": rotation[:1],
         "sensor_rotation_y": rotation[1:2],
@@ -106,7 +115,8 @@ def groups_of(arm: Arm) -> dict[str, tuple[Entity, ...]]:
         "force_gain_ratio": force_ratio,
         "torque_gain_ratio": torque_ratio,
         "base_inclination_x": inclination[:1],
-        "base_inclination_y": inclination[1:],
+        "base_inclination_y": inclination[1:2],
+        "base_inclination_z": inclination[2:],
         **{f"{name}_zero": (one,) for name, one in zip(joints, zero, strict=True)},
     }
 
@@ -167,28 +177,23 @@ def entities(names: Sequence[str], arm: Arm) -> tuple[Entity, ...]:
 
 
 _LARGEST_GAIN = 0.5
+_ANGLES = ("about_x", "about_y", "about_z")
+_ABOUT_Z = ZEROS - 1
 
 
-def inclination(about_x_rad: float, about_y_rad: float) -> Array:
-    """Return (Rx(a) Ry(b))^T (3, 3), which takes a level base's gravity into the inclined one."""
-    sin_a, cos_a = np.sin(about_x_rad), np.cos(about_x_rad)
-    sin_b, cos_b = np.sin(about_y_rad), np.cos(about_y_rad)
-    return np.array(
-        [
-            [cos_b, sin_a * sin_b, -cos_a * sin_b],
-            [0.0, cos_a, sin_a],
-            [sin_b, -sin_a * cos_b, cos_a * cos_b],
-        ]
-    )
+def inclination(about_rad: ArrayLike) -> Array:
+    """Return (Rx(a) Ry(b) Rz(c))^T (3, 3), which takes a level base's gravity into the inclined."""
+    a, b, c = np.asarray(about_rad, dtype=float)
+    return np.asarray((rot_x(a) @ rot_y(b) @ rot_z(c)).T)
 
 
 @dataclass(frozen=True)
 class Mounting:
-    """Rotation and gains of the sensor, inclination of the base (about x, y), joint zeros.
+    """Rotation and gains of the sensor, inclination of the base (about x, y, z), joint zeros.
 
     axis_gain (6,) in the order fx fy fz tx ty tz; all others in rad, joint_zero_rad (k,) of the
     revolute `joints`. estimated: the names of groups that a calibration told; what is not among
-    them is zero by assumption. covariance: (11 + k, 11 + k) in the order of `parameters`, zero
+    them is zero by assumption. covariance: (12 + k, 12 + k) in the order of `parameters`, zero
     where not estimated.
     """
 
@@ -213,7 +218,7 @@ class Mounting:
         *,
         joints: tuple[str, ...],
     ) -> "Mounting":
-        """Of parameters (11 + k,) in the order of `parameters`."""
+        """Of parameters (12 + k,) in the order of `parameters`."""
         none = np.zeros((len(vector), len(vector)))
         return Mounting(
             vector[:3], vector[3:9], vector[9:ZEROS], vector[ZEROS:], estimated,
@@ -222,7 +227,7 @@ class Mounting:
 
     @property
     def vector(self) -> Array:
-        """The parameters (11 + k,) in the order of `parameters`."""
+        """The parameters (12 + k,) in the order of `parameters`."""
         return np.concatenate(
             [
                 self.sensor_rotvec_rad,
@@ -234,7 +239,7 @@ class Mounting:
 
     @property
     def std(self) -> Array:
-        """Standard deviations (11 + k,)."""
+        """Standard deviations (12 + k,)."""
         return np.sqrt(np.diag(self.covariance))
 
     @property
@@ -250,7 +255,7 @@ class Mounting:
     @property
     def inclination(self) -> Array:
         """(3, 3): takes a level base's gravity into the inclined one."""
-        return inclination(*self.base_inclination_rad)
+        return inclination(self.base_inclination_rad)
 
     def gravity_direction(self, arm: Arm) -> Array:
         """Return the unit vector (3,) of gravity in the arm's base frame."""
@@ -267,7 +272,7 @@ class Mounting:
         """Gravity (n, 3) in the sensor's frame as the inclined base has it.
 
         From the gravity u (n, 3) of a level base and R = R_base_sensor (n, 3, 3):
-        u + R^T ((Rx(a) Ry(b))^T - 1) R u.
+        u + R^T ((Rx(a) Ry(b) Rz(c))^T - 1) R u.
         """
         gravity = np.asarray(gravity_sensor, dtype=float)[..., None]
         rotation = np.asarray(base_from_sensor, dtype=float)
@@ -289,15 +294,19 @@ class Mounting:
         return turned / (1.0 + self.axis_gain)[None, :]
 
     def to_json(self) -> dict[str, Any]:
-        """As the calibration file holds it."""
-        about_x, about_y = numbers(self.base_inclination_rad)
+        """As the calibration file holds it: without the base's angle about z where it is none."""
+        angles = dict(zip(_ANGLES, numbers(self.base_inclination_rad), strict=True))
+        covariance = self.covariance
+        if not (angles["about_z"] or self.std[_ABOUT_Z]):
+            del angles["about_z"]
+            covariance = np.delete(np.delete(covariance, _ABOUT_Z, 0), _ABOUT_Z, 1)
         return {
             "sensor_rotvec_rad": numbers(self.sensor_rotvec_rad),
             "axis_gain": numbers(self.axis_gain),
-            "base_inclination_rad": {"about_x": about_x, "about_y": about_y},
+            "base_inclination_rad": angles,
             "joint_zero_rad": dict(zip(self.joints, numbers(self.joint_zero_rad), strict=True)),
             "estimated": list(self.estimated),
-            "covariance": [numbers(row) for row in self.covariance],
+            "covariance": [numbers(row) for row in covariance],
         }
 
     @staticmethod
@@ -306,10 +315,15 @@ class Mounting:
         whole = mapping(value, name)
         rotvec = array(get(whole, "sensor_rotvec_rad"), f"{name}.sensor_rotvec_rad", (3,))
         gain = array(get(whole, "axis_gain"), f"{name}.axis_gain", (6,))
-        inclined = _pair(whole, "base_inclination_rad", ("about_x", "about_y"), name)
-        zero = _pair(whole, "joint_zero_rad", arm.turning_names, name)
-        count = ZEROS + len(zero)
+        given = mapping(get(whole, "base_inclination_rad"), f"{name}.base_inclination_rad")
+        about_z = "about_z" in given
+        inclined = _parts(whole, "base_inclination_rad", _ANGLES[: 2 + about_z], name)
+        zero = _parts(whole, "joint_zero_rad", arm.turning_names, name)
+        count = ZEROS - 1 + about_z + len(zero)
         covariance = array(get(whole, "covariance"), f"{name}.covariance", (count, count))
+        if not about_z:
+            inclined = np.append(inclined, 0.0)
+            covariance = np.insert(np.insert(covariance, _ABOUT_Z, 0.0, 0), _ABOUT_Z, 0.0, 1)
         estimated = texts(get(whole, "estimated"), f"{name}.estimated")
         if np.linalg.norm(rotvec) > np.pi:
             raise FieldError(f"{name}.sensor_rotvec_rad turns by more than pi")
@@ -327,6 +341,6 @@ class Mounting:
         return Mounting(rotvec, gain, inclined, zero, estimated, covariance, arm.turning_names)
 
 
-def _pair(whole: Any, key: str, parts: Sequence[str], name: str) -> Array:
+def _parts(whole: Any, key: str, parts: Sequence[str], name: str) -> Array:
     inner = mapping(get(whole, key), f"{name}.{key}")
     return np.array([number(get(inner, part), f"{name}.{key}.{part}") for part in parts])

@@ -19,9 +19,9 @@ from galen_model.arm.arm import Arm
 from galen_model.arrays import Array
 from galen_model.load.model import gravity_regressor
 from galen_model.load.mounting import ZEROS, Entity, Mounting
-from galen_model.rotation import skew
+from galen_model.rotation import rot_z, skew
 
-_X, _Y, _ = np.eye(3)
+_X, _Y, _Z = np.eye(3)
 
 
 @dataclass(frozen=True)
@@ -36,16 +36,16 @@ class JointPoses:
         return len(self.angles)
 
     def gravity(self, mounting: Mounting) -> tuple[Array, Array]:
-        """Gravity (n, 3) in the sensor and its change (n, 3, 2 + k) by inclination and zeros."""
+        """Gravity (n, 3) in the sensor and its change (n, 3, 3 + k) by inclination and zeros."""
         joints = self.arm.with_angles(self.angles + mounting.joint_zero_rad)
         rotation, _ = self.arm.sensor_pose(joints)
         _, axes = self.arm.joint_axes(joints)
         size = float(np.linalg.norm(self.arm.gravity_m_s2))
         u = np.einsum("nji,j->ni", rotation, mounting.gravity_direction(self.arm)) * size
-        change = np.empty((len(self), 3, 2 + len(self.arm.turning)))
+        change = np.empty((len(self), 3, 3 + len(self.arm.turning)))
         level = np.broadcast_to(self.arm.gravity_m_s2, u.shape)
-        change[:, :, :2] = _by_inclination(rotation, mounting, level)
-        for column, joint in enumerate(self.arm.turning, start=2):
+        change[:, :, :3] = _by_inclination(rotation, mounting, level)
+        for column, joint in enumerate(self.arm.turning, start=3):
             axis = np.einsum("nji,nj->ni", rotation, axes[:, joint])
             change[:, :, column] = np.cross(u, axis)
         return u, change
@@ -67,11 +67,11 @@ class OrientedPoses:
 
     def gravity(self, mounting: Mounting) -> tuple[Array, Array]:
         """As `JointPoses.gravity`; joint zeros have no effect."""
-        change = np.zeros((len(self), 3, 2 + len(mounting.joints)))
+        change = np.zeros((len(self), 3, 3 + len(mounting.joints)))
         if self.rotation is None:
             return self.level_gravity, change
         level = np.einsum("nij,nj->ni", self.rotation, self.level_gravity)
-        change[:, :, :2] = _by_inclination(self.rotation, mounting, level)
+        change[:, :, :3] = _by_inclination(self.rotation, mounting, level)
         return mounting.turned_gravity(self.level_gravity, self.rotation), change
 
 
@@ -79,11 +79,14 @@ Poses = JointPoses | OrientedPoses
 
 
 def _by_inclination(rotation: Array, mounting: Mounting, level: Array) -> Array:
-    """(n, 3, 2) from R_base_sensor (n, 3, 3) and a level base's gravity (n, 3) in the base."""
-    # Of M = exp(-b y^) exp(-a x^): dM/da = -M x^ and dM/db = -y^ M.
-    turn = mounting.inclination.T
-    by_a, by_b = np.cross(level, _X) @ turn, np.cross(level @ turn, _Y)
-    return np.asarray(np.einsum("nji,njk->nik", rotation, np.stack([by_a, by_b], axis=2)))
+    """(n, 3, 3) from R_base_sensor (n, 3, 3) and a level base's gravity (n, 3) in the base."""
+    # Of M = exp(-c z^) exp(-b y^) exp(-a x^) with Z = exp(-c z^): dM/da = -M x^,
+    # dM/db = -(Z y)^ M and dM/dc = -z^ M.
+    inclined = level @ mounting.inclination.T
+    by_a = np.cross(level, _X) @ mounting.inclination.T
+    by_b = np.cross(inclined, rot_z(mounting.base_inclination_rad[2]).T @ _Y)
+    by_c = np.cross(inclined, _Z)
+    return np.asarray(np.einsum("nji,njk->nik", rotation, np.stack([by_a, by_b, by_c], axis=2)))
 
 
 @dataclass(frozen=True)
@@ -111,7 +114,7 @@ class ReadingModel:
 
     @property
     def basis(self) -> Array:
-        """Directions (11 + k, q) of the mounting's values among its parameters."""
+        """Directions (12 + k, q) of the mounting's values among its parameters."""
         count = ZEROS + len(self._joints)
         return np.array([entity.direction for entity in self.entities]).reshape(-1, count).T
 
@@ -166,7 +169,7 @@ def _by_gravity(moments: Array) -> Array:
 
 
 def _by_mounting(mounting: Mounting, reading: Array, by_angles: Array) -> Array:
-    """(n, 6, 11 + k) from readings (n, 6) without offset and their change by the angles."""
+    """(n, 6, 12 + k) from readings (n, 6) without offset and their change by the angles."""
     gain = 1.0 + mounting.axis_gain
     element = reading / gain
     jacobian = np.zeros((len(reading), 6, 9 + by_angles.shape[2]))

@@ -9,7 +9,7 @@ parent. For the Galen's tilt axis turned about its parent's z,
 
     R_base_sensor = Rx(roll) Rz(a) Ry(tilt) Rz(a)^T Ry(pi/2).
 
-Inclined base: gravity in base_link is (Rx(a) Ry(b))^T g.
+Inclined base: gravity in base_link is (Rx(a) Ry(b) Rz(c))^T g.
 
 Compliance: the tip deflects by C w with C = sum over springs of J^T J / k, which is linear in 1/k.
 A fit therefore works on how much softer than nominal a spring is,
@@ -64,6 +64,7 @@ import numpy as np
 from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
+from galen_model.load.mounting import inclination, inclination_axes
 from galen_model.rotation import rot_x, rot_y, rot_z
 from galen_ros.parameters import param
 
@@ -166,22 +167,49 @@ class JointAxisMisalignment(AtJoint):
         return replace(arm, joints=tuple(joints))
 
 
+def _about(axes: str) -> tuple[Fitted, ...]:
+    return tuple(Fitted(f"about_{axis}_rad", "rad", 0.01, -0.5, 0.5) for axis in axes)
+
+
 @dataclass(frozen=True)
 class BaseInclination(Effect):
-    """Gravity in base_link is (Rx(`about_x_rad`) Ry(`about_y_rad`))^T (0, 0, -g)."""
+    """Gravity in base_link is (Rx(`about_x_rad`) Ry(`about_y_rad`) Rz(`about_z_rad`))^T g."""
 
     name = "base_inclination"
-    fitted = (
-        Fitted("about_x_rad", "rad", 0.01, -0.5, 0.5),
-        Fitted("about_y_rad", "rad", 0.01, -0.5, 0.5),
-    )
+    fitted = _about("xy")
+    beyond_contract = ("about_z_rad",)
 
     about_x_rad: float = param(0.0, "the base is inclined so far about its x, rad", -0.5, 0.5)
     about_y_rad: float = param(0.0, "the same about its y, after x, rad", -0.5, 0.5)
+    about_z_rad: float = param(0.0, "the same about its z, after y, rad", -0.5, 0.5)
+
+    @property
+    def angles_rad(self) -> Array:
+        """About x, y and z (3,)."""
+        return np.array([self.about_x_rad, self.about_y_rad, self.about_z_rad])
+
+    @property
+    def changes_nothing(self) -> bool:
+        return not np.any(self.angles_rad)
 
     def gravity(self, gravity_base: Array) -> Array:
-        turn = rot_x(self.about_x_rad) @ rot_y(self.about_y_rad)
-        return np.asarray(turn.T @ gravity_base)
+        return inclination(self.angles_rad) @ gravity_base
+
+
+class _InclinationYZ(BaseInclination):
+    fitted = _about("yz")
+    beyond_contract = ("about_x_rad",)
+
+
+class _InclinationXZ(BaseInclination):
+    fitted = _about("xz")
+    beyond_contract = ("about_y_rad",)
+
+
+def base_inclination(gravity_m_s2: Array) -> type[BaseInclination]:
+    """Return the effect under gravity (3,) in the base: which two of its angles tell."""
+    kinds = {"xy": BaseInclination, "yz": _InclinationYZ, "xz": _InclinationXZ}
+    return kinds[inclination_axes(gravity_m_s2)]
 
 
 class _Spring(NamedTuple):

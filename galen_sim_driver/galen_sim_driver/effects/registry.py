@@ -19,6 +19,7 @@ from galen_sim_driver.effects.joints import (
     JointCompliance,
     JointGain,
     JointZeroOffset,
+    base_inclination,
     compliance,
 )
 from galen_sim_driver.effects.load import (
@@ -71,6 +72,8 @@ def identities(arm: Arm) -> dict[str, Effect]:
 
 
 def _kind(name: str, arm: Arm) -> type[Effect]:
+    if name == "base_inclination":
+        return base_inclination(arm.gravity_m_s2)
     return compliance(arm) if name == "joint_compliance" else EFFECTS[name]
 
 
