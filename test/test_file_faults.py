@@ -23,11 +23,12 @@ NURSERY = """
 import json, mmap, os, random, signal, struct, sys, time
 from dataclasses import replace
 from pathlib import Path
+from galen_model.arm.galen import GALEN
 from galen_model.files.calibration_file import read_calibration, write_calibration
 
 path, kills, seed = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
 rng = random.Random(seed)
-first = read_calibration(path)
+first = read_calibration(path, GALEN)
 
 def tool(number):
     return replace(first, poses_used=number, poses_rejected=(f"{number} " * 60,) * 20)
@@ -194,11 +195,12 @@ IN_A_PROCESS = """
 import resource, signal, sys
 from pathlib import Path
 from galen_model.errors import CalibrationFileError
+from galen_model.arm.galen import GALEN
 from galen_model.files.calibration_file import read_calibration, write_calibration
 from dataclasses import replace
 
 path = Path(sys.argv[1])
-tool = read_calibration(path)
+tool = read_calibration(path, GALEN)
 new = replace(tool, poses_used=57)
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (300, 300))

@@ -38,6 +38,7 @@ SIGMA = np.array([0.02, 0.02, 0.03, 4e-4, 4e-4, 4e-4]) / np.sqrt(125)
 DEG = np.pi / 180.0
 RETRACTOR, NOTHING = TOOLS["retractor"].load, Load(0.0)
 ARM = PinocchioArm()
+LEVEL = Mounting.of(GALEN)
 SIX = read_arm((Path(__file__).parents[2] / "galen_bringup/urdf/six_axis.urdf").read_text())
 WALL = replace(SIX, gravity_m_s2=np.array([0.0, 9.80665, 0.0]))
 SIX_MODEL = pinocchio.buildModelFromXML(SIX.urdf)
@@ -299,11 +300,12 @@ def test_an_inclination_shows_wherever_gravity_points(direction, axes):
 
 
 def test_along_z_a_file_has_two_angles_and_a_turn_about_gravity_does_not_show():
-    whole = Mounting(base_inclination_rad=np.array([0.02, -0.03, 0.0])).to_json()
+    whole = replace(LEVEL, base_inclination_rad=np.array([0.02, -0.03, 0.0])).to_json()
     assert whole["base_inclination_rad"] == {"about_x": 0.02, "about_y": -0.03}
     assert np.shape(whole["covariance"]) == (13, 13)
-    assert Mounting.from_json(whole, "mounting").base_inclination_rad.tolist() == [0.02, -0.03, 0.0]
-    made = sweeps(Mounting(), np.random.default_rng(1), poses=grid(4, 5))
+    back = Mounting.from_json(whole, "mounting", GALEN)
+    assert back.base_inclination_rad.tolist() == [0.02, -0.03, 0.0]
+    made = sweeps(LEVEL, np.random.default_rng(1), poses=grid(4, 5))
     with pytest.raises(NotExcitedError, match="the base's inclination about z"):
         identify_two_sweeps_mounted(*made, ["base_inclination_z"])
 
@@ -347,13 +349,13 @@ def test_twins_are_rejected_by_name(groups, pair):
 
 def test_a_tool_on_the_axis_does_not_tell_the_torque_about_it():
     on_axis = Load(0.2, np.array([0.0, 0.0, 0.05]))
-    made = sweeps(Mounting.of(GALEN), np.random.default_rng(1), tool=on_axis)
+    made = sweeps(LEVEL, np.random.default_rng(1), tool=on_axis)
     with pytest.raises(NotExcitedError, match=r"gain of tz .* centres"):
         identify_two_sweeps_mounted(*made, ["torque_gain_ratio"])
 
 
 def test_a_healthy_arm_gives_zeros_and_does_not_pay():
-    bare, tool = sweeps(Mounting.of(GALEN), np.random.default_rng(11), poses=grid(4, 6))
+    bare, tool = sweeps(LEVEL, np.random.default_rng(11), poses=grid(4, 6))
     measured = Calibrated(bare, tool, ["sensor_rotation", "gain_ratio", "base_inclination"])
     found = measured.identify()
     basis = np.array([e.direction for e in entities(measured.groups, arm=GALEN)]).T

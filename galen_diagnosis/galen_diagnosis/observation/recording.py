@@ -169,7 +169,7 @@ def read_recording(
     problems: list[str] = []
     for name in BAGS:
         if (path / name).exists():
-            arms[name] = read_arm(path / name, ArmTopics(wrench_frame=wrench_frame), robot)
+            arms[name] = read_arm(path / name, ArmTopics(wrench_frame=wrench_frame), arm=robot)
             problems += [f"{name}: {problem}" for problem in arms[name].problems]
     for name, arm in arms.items():
         _check_frames(path / name, arm, tool_file)
