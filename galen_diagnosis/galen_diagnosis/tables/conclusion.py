@@ -11,7 +11,7 @@ from galen_model.arrays import Array
 from galen_model.evidence.held_out import BlockEvidence, BlockHypothesis, BlockRows, Effects
 from galen_model.evidence.search import SearchResult, search
 
-from galen_diagnosis.answer.answer import SURE, UNKNOWN, Answer, FoundCause, Interval, Verdict
+from galen_diagnosis.answer.answer import NONE, SURE, UNKNOWN, Answer, FoundCause, Interval, Verdict
 from galen_diagnosis.report.words import sentence
 
 _PART = 0.5
@@ -49,8 +49,7 @@ def diagnose_blocks(
     if parts is not None:
         before, after = parts
         closed = closed_fraction(rows, before, after, floor)
-    # Of a floor that is not known noise is in what is to be closed.
-    verdict = _verdict(found, closed if rows.floor_known or not best.floor_only else None)
+    verdict = _verdict(found, closed, rows.floor_known)
     remains = not best.floor_only and np.mean(after**2) > max(floor, 1e-12) * _ABOVE_FLOOR
     causes = [
         FoundCause(
@@ -61,7 +60,7 @@ def diagnose_blocks(
             gap_closed=_alone(evidence, found, effect, floor),
         )
         for effect, parameters in _parameters(evidence, best)
-        if verdict != UNKNOWN or found.inclusion[effect] >= SURE
+        if verdict not in (NONE, UNKNOWN) or found.inclusion[effect] >= SURE
     ]
     if verdict == UNKNOWN or (best.effects and remains and rows.floor_known):
         causes.append(FoundCause(UNKNOWN, round(_unexplained(found), 4), {}, (), None))
@@ -120,15 +119,17 @@ def closed_fraction(rows: BlockRows, before: Array, after: Array, floor: float) 
     return Interval(float(fraction(sums.sum(axis=0))), float(low), float(high))
 
 
-def _verdict(found: SearchResult, closed: Interval | None) -> Verdict:
+def _verdict(found: SearchResult, closed: Interval | None, floor_known: bool) -> Verdict:
     best = found.best
     if not best.effects:
         return "none" if best.floor_only else "unknown"
+    sure = all(found.inclusion[effect] >= SURE for effect in best.effects)
     if closed is not None and closed.high is not None and closed.high < _PART:
-        return "unknown"
-    if all(found.inclusion[effect] >= SURE for effect in best.effects):
-        return "identified"
-    return "ambiguous"
+        if floor_known or not best.floor_only:
+            return "unknown"
+        if not sure:  # the rest is noise, of which these may be
+            return "none"
+    return "identified" if sure else "ambiguous"
 
 
 def _in_parts(evidence: BlockEvidence, best: BlockHypothesis) -> tuple[Array, Array] | None:
