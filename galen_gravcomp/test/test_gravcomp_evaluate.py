@@ -243,6 +243,15 @@ def test_scores_are_the_noise_on_clean_readings(readings):
         np.testing.assert_allclose(rmse / NOISE, 1.1, atol=4 / np.sqrt(60))
 
 
+def test_scores_tell_how_far_they_are(readings):
+    _, _, _, gravity, wrench = readings
+    told = []
+    evaluate_table(table_of(gravity, wrench), progress=lambda *one: told.append(one))
+    texts, done, totals = zip(*told, strict=True)
+    assert len(set(totals)) == 1 and done[0] == 0.0 and np.all(np.diff(done) > 0.0)
+    assert 0.5 < done[-1] / totals[0] < 1.0 and "plain least squares" in texts[0]
+
+
 def recording(noise, rng):
     """Four stops of 6 s at 20 Hz with moves of 3 s between them."""
     time = np.arange(0.0, 36.0, 0.05)

@@ -26,6 +26,7 @@ from galen_ros.arm import arm_parameters, chosen_arm
 from galen_ros.command import (
     EXIT_FAILED,
     EXIT_OK,
+    ProgressLine,
     check_file,
     check_folder,
     print_json,
@@ -135,12 +136,14 @@ def _evaluate_table(arguments: argparse.Namespace) -> Report:
             " SECONDS averages at rest alone",
             file=sys.stderr,
         )
-    result = evaluate_table(
-        table,
-        average_window_s=arguments.average_s,
-        tool=None if arguments.tool is None else read_calibration(arguments.tool, arm),
-        mounting=arguments.estimate,
-    )
+    with ProgressLine(quiet=arguments.json) as line:
+        result = evaluate_table(
+            table,
+            average_window_s=arguments.average_s,
+            tool=None if arguments.tool is None else read_calibration(arguments.tool, arm),
+            mounting=arguments.estimate,
+            progress=line.show,
+        )
     found = scores_report(result)
     if written is not None:
         if result.chosen.fault:

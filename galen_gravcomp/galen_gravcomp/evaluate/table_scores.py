@@ -37,6 +37,7 @@ _LEAST_LEVER_M = 0.002
 _FITS, _DOES_NOT_FIT = 0.02, 0.3  # residual over change; sensors promise 0.5 to 1.5 % of full scale
 _MOST_LEFT_OUT_ONE_BY_ONE = 200  # each takes a fit of all others
 _CHOSEN = "galen, chosen"
+_CHOICE = 300.0  # how many times longer a choice takes than a fit
 _UNRESOLVED = (
     "how much of the load is the adapter: all that hangs on the sensor is written as the tool, and"
     " the adapter as nothing; the compensation is not affected",
@@ -124,14 +125,23 @@ def contiguous_blocks(count: int, blocks: int) -> np.ndarray:
     return np.arange(count) * blocks // count
 
 
-def cross_validate(table: OrientationTable, groups: np.ndarray, model: Model) -> HeldOutScore:
-    """Hold out each of `groups` (n,) in turn; a model may reject to do without one."""
+def cross_validate(
+    table: OrientationTable,
+    groups: np.ndarray,
+    model: Model,
+    held_out: Callable[[], None] = lambda: None,
+) -> HeldOutScore:
+    """Hold out each of `groups` (n,) in turn; a model may reject to do without one.
+
+    held_out: called before each.
+    """
     table = table.timed()
     residuals = np.full(table.wrench.shape, np.nan)
     rejected = []
     labels = list(dict.fromkeys(groups.tolist()))
     for label in labels:
         held = groups == label
+        held_out()
         try:
             block = None if table.block is None else table.block[~held]
             predict = model(table.take(~held, block))
@@ -211,10 +221,12 @@ def evaluate_table(
     average_window_s: float | None = None,
     tool: CalibrationFile | None = None,
     mounting: tuple[str, ...] = (),
+    progress: Callable[[str, float, float], None] = lambda text, done, total: None,
 ) -> TableEvaluation:
     """Fit and score every model on a table; raises GalenError naming the obstacle.
 
-    mounting: groups to estimate beside the load, in a model of its own.
+    mounting: groups to estimate beside the load, in a model of its own. progress: told what is held
+    out, how much is done, and of how much.
     """
     source_rows, phases, scatter = len(table), None, None
     read_notes = []
@@ -241,7 +253,9 @@ def evaluate_table(
         )
     setup = check_setup(still_readings(table))
     try:
-        return _evaluated(table, source_rows, phases, scatter, tool, mounting, setup, read_notes)
+        return _evaluated(
+            table, source_rows, phases, scatter, tool, mounting, setup, read_notes, progress
+        )
     except IdentificationError as error:
         if setup is None:
             raise
@@ -257,6 +271,7 @@ def _evaluated(
     mounting: tuple[str, ...],
     setup: SetupFinding | None,
     read_notes: list[str],
+    progress: Callable[[str, float, float], None],
 ) -> TableEvaluation:
     splits, notes = _splits(table, phases)
     notes += read_notes
@@ -265,14 +280,26 @@ def _evaluated(
     if mounting:
         mounted = identify_mounted(mounting, table)
         models[MOUNTED] = partial(mounted_model, mounting)
-    scores = {
-        split: {name: cross_validate(table, groups, model) for name, model in models.items()}
-        for split, groups in splits.items()
-    }
-    for split, groups in splits.items():
-        # Not one by one: each choice takes a second.
-        if len(set(groups.tolist())) < len(table):
-            scores[split][_CHOSEN] = cross_validate(table, groups, chosen_model)
+    blocks = {split: len(set(groups.tolist())) for split, groups in splits.items()}
+    tasks = [(split, name, model, 1.0) for split in splits for name, model in models.items()]
+    # Not one by one: each choice takes a second.
+    tasks += [
+        (split, _CHOSEN, chosen_model, _CHOICE)
+        for split, count in blocks.items()
+        if count < len(table)
+    ]
+    total, done = sum(cost * blocks[split] for split, _, _, cost in tasks) + _CHOICE, 0.0
+
+    def held_out(cost: float, text: str) -> None:
+        nonlocal done
+        progress(text, done, total)
+        done += cost
+
+    scores: dict[str, dict[str, HeldOutScore]] = {split: {} for split in splits}
+    for split, name, model, cost in tasks:
+        tell = partial(held_out, cost, f"held out: {split}, {name}")
+        scores[split][name] = cross_validate(table, splits[split], model, tell)
+    held_out(_CHOICE, "choosing the model")
     chosen = identify_chosen(table.timed())
     fit = chosen.single
     if chosen.fault:
