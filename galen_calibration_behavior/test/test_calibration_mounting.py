@@ -45,7 +45,7 @@ def test_joint_zeros_are_written_and_told(tmp_path):
     done.write()
     mounting = read_calibration(path, arm=GALEN).mounting
     error = mounting.joint_zero_rad - ZERO
-    assert np.all(np.abs(error) < 4.0 * mounting.std[11:])
+    assert np.all(np.abs(error) < 4.0 * mounting.std[12:])
     assert done.worth is not None
     assert done.worth.pays
     assert not any("do not pay" in text for text in done.warnings)

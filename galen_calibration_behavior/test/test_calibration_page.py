@@ -26,7 +26,7 @@ def calibrate(monkeypatch, capsys, tmp_path):
         topics = TOPICS if len(recording.temperature_c) else TOPICS[:2]
         recording = dataclasses.replace(recording, topics=topics)
         read = "galen_calibration_behavior.from_bag.loads.read_arm"
-        monkeypatch.setattr(read, lambda *_: recording)
+        monkeypatch.setattr(read, lambda *_, **_options: recording)
         code = main(["pointer", "tape", "--json", "--tools-dir", str(tmp_path), *arguments])
         printed = capsys.readouterr()
         assert code == 0, printed.err

@@ -197,6 +197,7 @@ def test_many_poses_that_do_not_follow_each_other_are_no_recording():
     assert not is_recording(table_of(gravity, gravity_wrench(gravity, LOAD)))
 
 
+@pytest.mark.slow
 def test_a_long_table_is_averaged_and_told_at_once(tmp_path, readings, capsys):
     _, _, _, gravity, wrench = readings
     rows = np.repeat(np.hstack([gravity, wrench]), 50, axis=0)

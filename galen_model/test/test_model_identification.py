@@ -45,15 +45,14 @@ def sweeps(tool, rng, noise=SIGMA, drift=0.0, poses=None, arm=GALEN):
     hours = np.arange(float(len(angles)))
     return (
         StillPoses(
-            angles, bare + noise * rng.standard_normal(bare.shape), None, hours, arm, arm=GALEN
+            angles, bare + noise * rng.standard_normal(bare.shape), None, hours, arm=arm
         ),
         StillPoses(
             angles,
             with_tool + noise * rng.standard_normal(bare.shape),
             None,
             100.0 + hours,
-            arm,
-            arm=GALEN,
+            arm=arm,
         ),
     )
 
