@@ -44,9 +44,7 @@ def sweeps(tool, rng, noise=SIGMA, drift=0.0, poses=None, arm=GALEN):
     with_tool = nominal_reading(angles, tool, ADAPTER, arm=arm) + zeroing + drift
     hours = np.arange(float(len(angles)))
     return (
-        StillPoses(
-            angles, bare + noise * rng.standard_normal(bare.shape), None, hours, arm=arm
-        ),
+        StillPoses(angles, bare + noise * rng.standard_normal(bare.shape), None, hours, arm=arm),
         StillPoses(
             angles,
             with_tool + noise * rng.standard_normal(bare.shape),
