@@ -29,8 +29,8 @@ from galen_calibration_behavior.common.parameters import CalibrationParameters
 from galen_model.arm.galen import SENSOR
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
-from galen_model.load.identification import StillPoses
 from galen_model.load.model import ADAPTER, TOOLS, gravity_regressor
+from galen_model.load.readings import StillPoses
 from scipy.stats import binomtest, norm
 
 from benchmarks.arms import ROBOTS, UR5, Robot

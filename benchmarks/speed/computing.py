@@ -29,8 +29,9 @@ from galen_model.arm.description import PinocchioArm, read_arm
 from galen_model.arm.galen import GALEN, SENSOR
 from galen_model.arrays import Array
 from galen_model.calibrated.prediction import Prediction
-from galen_model.load.identification import StillPoses, identify_two_sweeps
+from galen_model.load.identification import identify_two_sweeps
 from galen_model.load.model import gravity_regressor
+from galen_model.load.readings import StillPoses
 from rich.table import Table
 
 from benchmarks.nominal import bench_models, bench_tool

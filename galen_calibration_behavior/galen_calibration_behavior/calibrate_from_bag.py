@@ -19,8 +19,8 @@ from galen_model.arm.arm import Arm
 from galen_model.arm.clearance import ObstacleError
 from galen_model.arrays import Array
 from galen_model.errors import GalenError, IdentificationError, ToolNameError
+from galen_model.estimation.curves import BiasShape, Shape
 from galen_model.files.calibration_file import check_tool_name
-from galen_model.load.drifting_bias import BiasShape, Shape
 from galen_model.load.mounting import GROUPS, entities
 from galen_model.load.pose_order import drift_price
 from galen_model.poses.design import compensation_std, reading_noise

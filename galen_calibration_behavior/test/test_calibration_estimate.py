@@ -20,10 +20,11 @@ from galen_calibration_behavior.common.commands import CalibrationCode, Measurem
 from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import read_calibration, write_calibration
-from galen_model.load.identification import StillPoses, identify_two_sweeps
+from galen_model.load.identification import identify_two_sweeps
 from galen_model.load.inertia import InertiaEstimate
 from galen_model.load.model import nominal_reading
-from galen_model.load.mounting_identification import Calibrated
+from galen_model.load.mounting_worth import Calibrated
+from galen_model.load.readings import StillPoses
 from scipy.spatial.transform import Rotation
 
 NAN = np.full(3, math.nan)

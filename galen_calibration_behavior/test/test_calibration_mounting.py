@@ -16,8 +16,8 @@ from galen_calibration_behavior.common.parameters import CalibrationParameters
 from galen_model.arm.galen import GALEN
 from galen_model.errors import IdentificationError
 from galen_model.files.calibration_file import read_calibration
-from galen_model.load.identification import StillPoses
 from galen_model.load.model import nominal_reading
+from galen_model.load.readings import StillPoses
 
 ZERO = np.array([0.008, -0.006])
 POSES = np.array([[r, t] for r in np.linspace(-1.5, 1.5, 5) for t in np.linspace(-1.0, 0.9, 4)])

@@ -13,11 +13,13 @@ from galen_calibration_behavior.common.parameters import CalibrationParameters
 from galen_model.arm.clearance import ArmClearance, ObstacleError, boxes_from_numbers
 from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError, NotExcitedError
+from galen_model.estimation.curves import BiasShape, Shape
+from galen_model.estimation.problem import Problem
 from galen_model.load.choice import choose_calibration
-from galen_model.load.drifting_bias import BiasShape, Shape, Sweeps, finish
-from galen_model.load.identification import StillPoses, identify_two_sweeps
+from galen_model.load.identification import identify_two_sweeps
 from galen_model.load.model import ADAPTER, TOOLS, gravity_regressor, gravity_wrench
 from galen_model.load.pose_order import drift_price, drift_warning
+from galen_model.load.readings import StillPoses
 from galen_model.poses.design import reading_noise
 from galen_model.poses.plan import (
     make_router,
@@ -79,8 +81,8 @@ def test_a_drift_s_price_is_that_of_the_fit(plan):
     readings = gravity_wrench(gravity, ADAPTER) + 1e-3 * np.random.default_rng(0).normal(
         size=(18, 6)
     )
-    sweeps = Sweeps(gravity_regressor(gravity), readings, at, np.zeros(18, dtype=int))
-    fitted = finish(sweeps, WALK, np.ones(18, dtype=bool))
+    sweeps = Problem(gravity_regressor(gravity), readings, at, np.zeros(18, dtype=int))
+    fitted = sweeps.under(WALK).fit(np.ones(18, dtype=bool))
     assert drift_price(gravity, at, WALK) == pytest.approx(fitted.growth.max(), rel=0.2)
 
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from galen_diagnosis.blind.answers import parse_answer
 from galen_diagnosis.blind.baselines import NAIVE_BIC, RMSE_DROP, explained, simple_answers
-from galen_model.evidence.linear import Background
+from galen_model.estimation.evidence import Background
 
 
 def test_what_columns_explain_is_that_of_a_least_squares_fit():

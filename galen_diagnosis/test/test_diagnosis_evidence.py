@@ -12,7 +12,7 @@ from galen_diagnosis.inference.discrepancy import (
     looks_like,
 )
 from galen_diagnosis.inference.posterior import Scored, Settings, posterior
-from galen_model.evidence.linear import SCALES, Background, evidence
+from galen_model.estimation.evidence import SCALES, Background, evidence
 from galen_sim_driver.effects.sensor import SensorDrift
 from scipy.stats import multivariate_normal
 

@@ -12,7 +12,7 @@ from galen_diagnosis.observation.observation import Observation, Unknowns
 from galen_diagnosis.observation.recording import read_recording
 from galen_diagnosis.simulated_recording import make_recording, sweep_poses
 from galen_model.arm.galen import GALEN
-from galen_model.evidence.linear import Background
+from galen_model.estimation.evidence import Background
 from galen_sim_driver.effects.sensor import SensorSaturation
 
 

@@ -50,7 +50,7 @@ import numpy as np
 from galen_model.arm.arm import Arm
 from galen_model.arrays import Array
 from galen_model.calibrated import columns
-from galen_model.evidence.linear import (
+from galen_model.estimation.evidence import (
     LOG_2PI,
     Information,
     Prior,

@@ -13,9 +13,9 @@ from galen_gravcomp.parameters import GravcompParameters
 from galen_model.arm.galen import GALEN
 from galen_model.calibrated.prediction import Prediction
 from galen_model.errors import GalenError
-from galen_model.evidence.block_gain import MOUNTED, PLAIN
 from galen_model.files.calibration_file import read_calibration
 from galen_model.load.mounting import Mounting
+from galen_model.load.mounting_worth import MOUNTED, PLAIN
 from galen_ros.stream.samples import PairedWrench
 from sample_blocks import topic
 from scipy.spatial.transform import Rotation

@@ -9,7 +9,7 @@ from galen_model.arm.description import read_arm
 from galen_model.arm.galen import GALEN
 from galen_model.errors import IdentificationError
 from galen_model.load.choice import PLAIN, STRUCTURED, choose_calibration, choose_load
-from galen_model.load.identification import StillPoses, identify_single_load, plain_least_squares
+from galen_model.load.identification import identify_single_load, plain_least_squares
 from galen_model.load.model import (
     ADAPTER,
     TOOLS,
@@ -18,6 +18,7 @@ from galen_model.load.model import (
     gravity_wrench,
     nominal_reading,
 )
+from galen_model.load.readings import StillPoses
 from scipy.spatial.transform import Rotation
 
 URDF = Path(__file__).resolve().parents[2] / "galen_bringup" / "urdf" / "six_axis.urdf"
@@ -144,7 +145,7 @@ def test_a_healthy_sensor_gets_the_plain_fit():
         error = np.abs(moments - made.load.moments)
         covariance = chosen.single.load.covariance
         assert error[0] < 4.0 * np.sqrt(covariance[0, 0])
-        robust = identify_single_load(made.gravity, made.wrench).load
+        robust = identify_single_load(made.gravity, made.wrench, arm=GALEN).load
         np.testing.assert_allclose(chosen.single.load.com_std_m, robust.com_std_m, rtol=0.3)
         assert "held-out blocks" in chosen.reason
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from galen_model.arm.galen import GALEN
 from galen_model.errors import IdentificationError
+from galen_model.estimation.curves import BiasBasis, BiasShape, Shape
+from galen_model.estimation.problem import Problem
 from galen_model.load.choice import choose_calibration, choose_load
-from galen_model.load.drifting_bias import BiasBasis, BiasShape, Shape, Sweeps, finish
 from galen_model.load.identification import (
-    StillPoses,
     identify_single_load,
     load_estimate,
 )
@@ -19,6 +19,7 @@ from galen_model.load.model import (
     gravity_wrench,
     nominal_reading,
 )
+from galen_model.load.readings import StillPoses
 
 SIGMA = np.array([0.02, 0.02, 0.03, 4e-4, 4e-4, 4e-4]) / np.sqrt(125)
 TOOL = TOOLS["retractor"].load
@@ -52,32 +53,32 @@ def reading(rng, over_sigma):
 
 
 def sweeps(readings):
-    return Sweeps(gravity_regressor(GRAVITY), readings, TIME_S, np.zeros(56, dtype=int))
+    return Problem(gravity_regressor(GRAVITY), readings, TIME_S, np.zeros(56, dtype=int))
 
 
 def test_the_elimination_is_generalised_least_squares():
     """The same x and covariance as with the readings' whole covariance matrix, written out."""
     rng = np.random.default_rng(0)
     data = sweeps(reading(rng, 10.0))
-    found = finish(data, WALK, np.ones(56, dtype=bool))
+    found = data.under(WALK).fit(np.ones(56, dtype=bool))
     time = TIME_S / TIME_S[-1]
     prior = np.eye(56) + 100.0 * np.minimum.outer(time, time)  # b(0) is free: one more column
     information, right = np.zeros((4, 4)), np.zeros(4)
     for channel in range(6):
         columns = np.column_stack([data.design[:, channel], np.ones(56)])
-        weight = np.linalg.inv(prior) / found.fit.sigma[channel] ** 2
+        weight = np.linalg.inv(prior) / found.sigma[channel] ** 2
         joint = columns.T @ weight @ columns
         reduced = joint[:4, :4] - np.outer(joint[:4, 4], joint[4, :4]) / joint[4, 4]
         side = columns.T @ weight @ data.readings[:, channel]
         information += reduced
         right += side[:4] - joint[:4, 4] * side[4] / joint[4, 4]
     expected = np.linalg.solve(information, right)
-    np.testing.assert_allclose(found.fit.values[:4], expected, rtol=1e-6)
-    ratio = np.diag(found.fit.covariance)[:4] / np.diag(np.linalg.inv(information))
+    np.testing.assert_allclose(found.values[:4], expected, rtol=1e-6)
+    ratio = np.diag(found.covariance)[:4] / np.diag(np.linalg.inv(information))
     np.testing.assert_allclose(ratio, ratio[0], rtol=1e-6)  # all widened by the same
     assert 1.0 < ratio[0] < 1.1
     # the end of the curve, and the curve there, are one
-    np.testing.assert_allclose(found.fit.values[4:], found.bias[-1], atol=1e-12)
+    np.testing.assert_allclose(found.values[4:], found.bias[-1], atol=1e-12)
     np.testing.assert_allclose(found.bias_at(TIME_S, data.segment), found.bias, atol=1e-12)
 
 
@@ -104,8 +105,10 @@ def test_mass_under_bias_drift_is_better_and_its_interval_true():
     constant, walk, squares = [], [], []
     for _ in range(20):
         readings = reading(rng, 30.0)
-        constant.append(identify_single_load(GRAVITY, readings).load.mass_kg - TOOL.mass_kg)
-        fit = finish(sweeps(readings), shapes, np.ones(56, dtype=bool)).fit
+        constant.append(
+            identify_single_load(GRAVITY, readings, arm=GALEN).load.mass_kg - TOOL.mass_kg
+        )
+        fit = sweeps(readings).under(shapes).fit(np.ones(56, dtype=bool))
         error = fit.values[:4] - TOOL.moments
         walk.append(error[0])
         squares.append(error @ np.linalg.solve(fit.covariance[:4, :4], error))
@@ -173,15 +176,15 @@ def test_poses_in_an_order_that_goes_with_time_are_told_or_rejected():
     time = np.arange(40.0)
     rng = np.random.default_rng(5)
     readings = gravity_wrench(gravity, TOOL) + 0.05 * rng.standard_normal((40, 6))
-    slow = Sweeps(gravity_regressor(gravity), readings, time, np.zeros(40, dtype=int))
-    found = finish(slow, WALK, np.ones(40, dtype=bool))
+    slow = Problem(gravity_regressor(gravity), readings, time, np.zeros(40, dtype=int))
+    found = slow.under(WALK).fit(np.ones(40, dtype=bool))
     assert found.growth[0] > 3.0
     with pytest.raises(IdentificationError, match="not distinguishable from none"):
-        load_estimate(found.fit, slice(0, 4), "the load")
+        load_estimate(found.values, found.covariance, "the load")
     # a grid's order goes with the tilt; that costs more than any order by chance
     data = sweeps(reading(rng, 0.0))
     order = rng.permutation(56)
-    shuffled = Sweeps(data.design[order], data.readings[order], TIME_S, data.segment)
+    shuffled = Problem(data.design[order], data.readings[order], TIME_S, data.segment)
     everything = np.ones(56, dtype=bool)
-    in_order = finish(data, WALK, everything).growth[0]
-    assert in_order > 1.3 * finish(shuffled, WALK, everything).growth[0]
+    in_order = data.under(WALK).fit(everything).growth[0]
+    assert in_order > 1.3 * shuffled.under(WALK).fit(everything).growth[0]

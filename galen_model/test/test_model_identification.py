@@ -10,7 +10,6 @@ from galen_model.arm.galen import GALEN
 from galen_model.errors import IdentificationError, NotExcitedError
 from galen_model.load.choice import choose_calibration
 from galen_model.load.identification import (
-    StillPoses,
     check_planned_poses,
     identify_one_sweep,
     identify_single_load,
@@ -26,6 +25,7 @@ from galen_model.load.model import (
     gravity_wrench,
     nominal_reading,
 )
+from galen_model.load.readings import StillPoses
 
 SIX_AXIS = (Path(__file__).parents[2] / "galen_bringup/urdf/six_axis.urdf").read_text()
 SIGMA = np.array([0.02, 0.02, 0.03, 4e-4, 4e-4, 4e-4]) / np.sqrt(125)
@@ -188,7 +188,7 @@ def test_gate_names_the_direction_that_two_orientations_leave_open():
     gravity = np.array([[0.0, 0.0, 9.80665], [0.0, 0.0, -9.80665]] * 4)
     reading = gravity_wrench(gravity, Load(0.3, np.array([0.01, 0.02, 0.03])))
     with pytest.raises(NotExcitedError, match="about the tool's centre along z:"):
-        identify_single_load(gravity, reading)
+        identify_single_load(gravity, reading, arm=GALEN)
 
 
 def test_mass_that_is_not_positive_is_rejected():
@@ -282,14 +282,14 @@ def test_single_load_equals_plain_least_squares_on_clean_data_and_beats_it_on_to
     noise = np.array([0.05, 0.05, 0.05, 2e-3, 2e-3, 2e-3])
     reading = gravity_wrench(gravity, load) + offset + noise * rng.standard_normal((24, 6))
     moments, biases = plain_least_squares(gravity, reading)
-    robust = identify_single_load(gravity, reading)
+    robust = identify_single_load(gravity, reading, arm=GALEN)
     # the weights differ (each axis' own noise here): equal within a part of the noise's limit
     assert robust.used.all()
     assert abs(robust.load.mass_kg - moments[0]) < 0.3 * robust.load.mass_std_kg
     np.testing.assert_allclose(robust.offset, biases, atol=0.01)
     reading[[2, 9]] += 4.0
     moments, _ = plain_least_squares(gravity, reading)
-    robust = identify_single_load(gravity, reading)
+    robust = identify_single_load(gravity, reading, arm=GALEN)
     assert not robust.used[[2, 9]].any()
     assert abs(robust.load.mass_kg - 0.93) < abs(moments[0] - 0.93)
     assert robust.predict(gravity).shape == (24, 6)

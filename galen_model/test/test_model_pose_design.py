@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 from galen_model.arm.galen import GALEN
 from galen_model.load.identification import (
-    StillPoses,
-    one_sweep_prior,
     plain_least_squares,
-    two_sweeps_design,
 )
 from galen_model.load.model import gravity_regressor
+from galen_model.load.readings import LoadReadings, StillPoses, with_offsets
 from galen_model.poses.design import (
     PoseDesign,
     PoseDesignError,
@@ -51,9 +49,9 @@ def workspace_error(covariance):
 
 def test_the_criterion_is_what_two_sweeps_leave():
     poses = random_poses(np.random.default_rng(1), 9)
-    gravity = StillPoses(poses, np.zeros((9, 6)), arm=GALEN).gravity
-    rows, zero = gravity_regressor(gravity), gravity_regressor(GALEN.gravity_in_sensor(BIAS))
-    design = two_sweeps_design(rows - zero, rows, zero) / SIGMA[:, None]
+    sweep = StillPoses(poses, np.zeros((9, 6)), arm=GALEN)
+    readings = LoadReadings.of_two_sweeps(sweep, sweep, BIAS)
+    design = with_offsets(readings.of_loads.design, readings.segment) / SIGMA[:, None]
     covariance = np.linalg.inv(np.einsum("nkp,nkq->pq", design, design))
     matrix = both_loads(20)
     both = matrix @ covariance @ matrix.T
@@ -65,15 +63,11 @@ def test_the_criterion_is_what_two_sweeps_leave():
 
 def test_the_criterion_is_what_one_sweep_leaves():
     poses = random_poses(np.random.default_rng(2), 7)
-    rows = gravity_regressor(GALEN.gravity_in_sensor(poses))
-    at_zero = GALEN.gravity_in_sensor(BIAS)
-    design = np.zeros((7, 6, 14))
-    design[:, :, :4], design[:, :, 4:8] = rows, rows - gravity_regressor(at_zero)
-    design[:, :, 8:] = np.eye(6)
-    scaled = design / SIGMA[:, None]
-    prior, _, std = one_sweep_prior(at_zero)
-    information = np.einsum("nkp,nkq->pq", scaled, scaled)
-    information += (prior / std[:, None] ** 2).T @ prior
+    sweep = StillPoses(poses, np.zeros((7, 6)), arm=GALEN)
+    problem = LoadReadings.of_one_sweep(sweep, BIAS).of_loads
+    scaled = with_offsets(problem.design) / SIGMA[:, None]
+    known = problem.known.beside(6).whitened
+    information = np.einsum("nkp,nkq->pq", scaled, scaled) + known.T @ known
     information[8:, 8:] += np.diag(1.0 / SIGMA**2)
     matrix = both_loads(14)
     both = matrix @ np.linalg.inv(information) @ matrix.T

@@ -20,13 +20,13 @@ import numpy as np
 from galen_model.arm.arm import Arm
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
+from galen_model.estimation.problem import MIN_POSES_TO_REJECT
 from galen_model.load.identification import (
     SingleLoad,
     identify_single_load,
-    single_load_design,
 )
 from galen_model.load.model import LoadEstimate
-from galen_model.load.robust_fit import MIN_POSES_TO_REJECT
+from galen_model.load.readings import single_load_design
 from galen_model.poses.design import compensation_std_under, workspace_gravity
 from galen_model.rest.segments import PoseRecord
 from galen_ros.goal.arrival import PoseRecorder, PoseRejection
@@ -190,7 +190,7 @@ class ByHandProcedure(CalibrationProcedure):
         enough = False
         if count >= MIN_POSES_TO_REJECT:
             try:
-                self._single = single = identify_single_load(gravity, wrench)
+                self._single = single = identify_single_load(gravity, wrench, arm=arm)
             except GalenError as error:
                 text = f"{count} poses: {error}"
             else:

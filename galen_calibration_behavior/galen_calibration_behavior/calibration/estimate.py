@@ -20,7 +20,6 @@ from galen_model.errors import (
     NotExcitedError,
     one_line,
 )
-from galen_model.evidence.block_gain import Worth
 from galen_model.files.calibration_file import (
     CalibrationFile,
     read_calibration,
@@ -29,9 +28,9 @@ from galen_model.files.calibration_file import (
 )
 from galen_model.json_fields import LONGEST_SENTENCE
 from galen_model.load.choice import choose_calibration
-from galen_model.load.identification import Identification, zeroing_fault
+from galen_model.load.identification import Identification, KnownLoad, zeroing_fault
 from galen_model.load.mounting import Mounting
-from galen_model.load.mounting_identification import Calibrated, KnownLoad, worth
+from galen_model.load.mounting_worth import Calibrated, Worth, worth
 from galen_model.setup_check.check import SetupError, require_setup
 from galen_model.setup_check.readings import StillReadings
 

@@ -40,7 +40,7 @@ from galen_model.arrays import Array
 from galen_model.calibrated import columns
 from galen_model.calibrated.columns import moment_covariance
 from galen_model.distributions import chi2_isf, chi2_sf, noncentral_chi2_sf, normal_ppf
-from galen_model.evidence.linear import chance
+from galen_model.estimation.evidence import chance
 from galen_model.evidence.verdict import (
     MESSAGES,
     Cause,

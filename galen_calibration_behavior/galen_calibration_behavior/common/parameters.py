@@ -11,7 +11,6 @@ from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.load.identification import check_planned_poses
 from galen_model.load.mounting import entities
-from galen_model.load.mounting_identification import check_planned_mounting
 from galen_model.poses.plan import (
     Surroundings,
     SweepPlan,
@@ -307,7 +306,7 @@ class CalibrationParameters(PoseParameters):
             if self.poses != "listed":
                 plan = replace(plan, poses=order_poses(poses, self.times(), self.arm))
         if self.estimate:
-            check_planned_mounting(
+            check_planned_poses(
                 plan.poses,
                 self.estimate,
                 one_sweep=one_sweep,

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from galen_model.arm.arm import Arm
 from galen_model.arrays import Array
-from galen_model.load.identification import StillPoses
+from galen_model.load.readings import StillPoses
 from galen_model.rest.segments import PoseRecord, StillnessSettings, wrench_fault
 from galen_ros.goal.arrival import PoseRejection
 

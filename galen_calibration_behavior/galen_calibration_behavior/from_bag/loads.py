@@ -24,7 +24,7 @@ from galen_model.files.calibration_file import (
     calibration_path,
     read_calibration,
 )
-from galen_model.load.mounting_identification import KnownLoad
+from galen_model.load.identification import KnownLoad
 from galen_model.setup_check.stamps import check_stamps
 
 from galen_calibration_behavior.calibration.estimate import (

@@ -15,8 +15,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
+from galen_model.estimation.problem import MIN_POSES_TO_REJECT
 from galen_model.load.model import LoadEstimate, gravity_wrench
-from galen_model.load.robust_fit import MIN_POSES_TO_REJECT
 from galen_model.poses.design import compensation_std_under, workspace_gravity
 from galen_model.rest.segments import PoseRecord
 from galen_ros.command import PageRow, render_page

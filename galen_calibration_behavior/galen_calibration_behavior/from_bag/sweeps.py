@@ -18,7 +18,8 @@ from itertools import groupby
 import numpy as np
 from galen_model.arrays import Array
 from galen_model.errors import GalenError, IdentificationError
-from galen_model.load.identification import MIN_POSES, StillPoses
+from galen_model.load.identification import MIN_POSES
+from galen_model.load.readings import StillPoses
 from galen_model.rest.segments import PoseRecord, wrench_fault
 from galen_model.setup_check.check import SetupError, require_setup
 from galen_model.setup_check.readings import StillReadings

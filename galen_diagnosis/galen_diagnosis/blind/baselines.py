@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
-from galen_model.evidence.linear import Background
+from galen_model.estimation.evidence import Background
 from galen_sim_driver.effects.sensor import SensorSaturation
 
 from galen_diagnosis.answer.answer import NONE

@@ -19,7 +19,7 @@ import numpy as np
 from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN, WRENCH_AXES
 from galen_model.arrays import Array
-from galen_model.evidence.linear import Background
+from galen_model.estimation.evidence import Background
 from galen_sim_driver.effects.effect import Effect
 from galen_sim_driver.effects.hysteresis import DeflectionHysteresis
 from galen_sim_driver.effects.joints import CROSSINGS, Backlash, JointAxisMisalignment

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_model.evidence.linear import Background, Evidence, evidence
+from galen_model.estimation.evidence import Background, Evidence, evidence
 
 from galen_diagnosis.effects.candidates import (
     Candidate,

@@ -24,7 +24,7 @@ from functools import partial
 import numpy as np
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
-from galen_model.evidence.linear import Background, Evidence, evidences
+from galen_model.estimation.evidence import Background, Evidence, evidences
 from galen_sim_driver.effects.effect import Effect
 from galen_sim_driver.effects.sensor import BaseShift, BiasStep, SensorDrift, SensorSaturation
 from galen_sim_driver.replay import Replay

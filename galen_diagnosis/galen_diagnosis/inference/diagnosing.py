@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
-from galen_model.evidence.linear import Background, evidence
+from galen_model.estimation.evidence import Background, evidence
 from scipy.linalg import block_diag
 from scipy.sparse import hstack
 

@@ -20,7 +20,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_model.evidence.linear import Background
+from galen_model.estimation.evidence import Background
 from galen_sim_driver.effects.sensor import SensorDrift
 from scipy.linalg import cholesky, solve_triangular
 from scipy.sparse import csc_array, hstack

@@ -5,7 +5,7 @@ In the linear picture of a fit an effect of size theta has the strength (noncent
     D = sqrt(theta^T G theta),    G = T^T P T,
 
 with T how the rows change by the effect's numbers and P what is left of them beside the unknowns, a
-healthy arm's tolerances and the effects that were found (`galen_model/evidence/linear.py`). Noise
+healthy arm's tolerances and the effects that were found (`galen_model.estimation.evidence`). Noise
 makes it D + z, z ~ N(0, 1). `detection_strength` asks the posterior itself for the D* from which on
 the effect is answered; one of D* + 1.645 is missed in one recording of twenty (L. A. Currie's
 detection limit, Analytical Chemistry 40, 1968). Each number is taken alone, the others zero, with
@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_model.evidence.linear import Background, evidence
+from galen_model.estimation.evidence import Background, evidence
 from galen_sim_driver.effects.effect import Effect
 from galen_sim_driver.effects.sensor import BaseShift, BiasStep
 from scipy.optimize import brentq

@@ -30,7 +30,7 @@ from typing import Any
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_model.evidence.linear import Background
+from galen_model.estimation.evidence import Background
 from galen_sim_driver.effects.effect import Effect
 from galen_sim_driver.effects.load import CableDrag
 from galen_sim_driver.effects.registry import contract_parameters

@@ -32,7 +32,7 @@ from importlib import resources
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_model.evidence.linear import Background
+from galen_model.estimation.evidence import Background
 from scipy.sparse import csc_array, hstack
 
 from galen_diagnosis.inference.discrepancy import (

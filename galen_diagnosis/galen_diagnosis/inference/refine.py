@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_model.evidence.linear import Background, factor
+from galen_model.estimation.evidence import Background, factor
 from galen_sim_driver.effects.effect import Effect
 from scipy.linalg import cho_solve
 

@@ -28,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
-from galen_model.evidence.linear import Background, evidence
+from galen_model.estimation.evidence import Background, evidence
 from scipy.fft import dct
 from scipy.sparse import csc_array
 

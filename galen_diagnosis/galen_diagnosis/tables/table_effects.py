@@ -27,9 +27,9 @@ from galen_model.arm.galen import GRAVITY_M_S2, WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.errors import IdentificationError
 from galen_model.evidence.held_out import Columns, Effects
+from galen_model.load.identification import identify_single_load
 from galen_model.load.model import Load
 from galen_model.load.mounting import inclination_axes
-from galen_model.load.mounting_identification import identify_single_load_mounted
 from galen_model.rotation import skew
 from galen_sim_driver.effects.effect import Effect, Fitted, Instants
 from galen_sim_driver.effects.joints import base_inclination
@@ -156,12 +156,13 @@ def _inclinations(plant: TablePlant, table: OrientationTable, known_load: bool) 
     level, angles = base_inclination(gravity)(), np.zeros(2)
     if not known_load:
         with suppress(IdentificationError):
-            found = identify_single_load_mounted(
+            found = identify_single_load(
                 plant.gravity, table.wrench, ["base_inclination"], plant.rotation, arm=table.arm
             )
             axes = ["xyz".index(axis) for axis in inclination_axes(gravity)]
+            assert found.mounting is not None
             angles = found.mounting.base_inclination_rad[axes]
-            plant = replace(plant, load=found.single.load.load)
+            plant = replace(plant, load=found.load.load)
     whole = plant.change(level.with_vector(angles))
     moved = [plant.change(level.with_vector(angles + step)) for step in _STEP * np.eye(2)]
     slope = (np.stack(moved, axis=2) - whole[:, :, None]) / _STEP

@@ -7,9 +7,9 @@ With u_k gravity in the sensor's frame in rest segment k, the mean residual ther
 d: what the load (mass, first moment) differs from the file's, in which the reading is linear (see
 `galen_model.load.model`); b: an offset, as a sensor zeroed anew or drifted leaves it, which a
 tare subtracts; c: its drift; robustly, so that a few segments with contact don't count
-(`galen_model.load.robust_fit`). Poses that don't distinguish d from b are rejected by the gate of a
-calibration (`galen_model.load.identifiability`); then only the offset and the drift are fitted.
-The standard deviations come from the rest's scatter from segment to segment, so a sensor's coloured
+(`galen_model.estimation.problem`). Poses that don't distinguish d from b are rejected by a
+calibration's gate (`galen_model.load.identifiability`); then only offset and drift are fitted. The
+standard deviations come from the rest's scatter from segment to segment, so a sensor's coloured
 noise is in them, but not a bias drift over many segments, which offset and drift follow.
 """
 
@@ -22,11 +22,12 @@ import numpy as np
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_sf
 from galen_model.errors import IdentificationError, NotExcitedError
+from galen_model.estimation.problem import Fit, Problem
 from galen_model.evidence.verdict import Cause, Limits, Verdict
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.identifiability import LOAD_PARAMETERS, check_excitation
 from galen_model.load.model import gravity_regressor
-from galen_model.load.robust_fit import RobustFit, fit_robust
+from galen_model.load.readings import with_offsets
 from galen_model.rest.binned import StillPhases
 
 from galen_gravcomp.evaluate.report import by_axis
@@ -101,7 +102,7 @@ def decompose(
     gravity = _gravity(phases, tool)
     time_h = (phases.start_ns + phases.end_ns - 2 * int(phases.start_ns[0])) / 2 / 3.6e12
     centred_h = time_h - time_h.mean()
-    blocks = {"offset": np.broadcast_to(np.eye(6), (len(phases), 6, 6))}
+    drift = {}
     why_no_drift = ""
     if stamps_jump:
         why_no_drift = "the time stamps jump"
@@ -110,24 +111,27 @@ def decompose(
     elif np.ptp(time_h) * 3600.0 < _SHORTEST_DRIFT_S:
         why_no_drift = f"the rest segments span less than {_SHORTEST_DRIFT_S:.0f} s"
     else:
-        blocks["drift"] = centred_h[:, None, None] * np.eye(6)
+        drift = {"drift": centred_h[:, None, None] * np.eye(6)}
     why_no_load = ""
     try:
-        design = np.concatenate([gravity_regressor(gravity), *blocks.values()], axis=2)
-        check_excitation(design, LOAD_PARAMETERS[:4])
-        fit = fit_robust(design, phases.mean)
-        check_excitation(design[fit.used], LOAD_PARAMETERS[:4])
-        blocks = {"load": gravity_regressor(gravity), **blocks}
+        columns = {"load": gravity_regressor(gravity), **drift}
+        design = np.concatenate(list(columns.values()), axis=2)
+        check_excitation(with_offsets(design), LOAD_PARAMETERS[:4])
+        fit = Problem.untimed(design, phases.mean).robust()
+        check_excitation(with_offsets(design)[fit.used], LOAD_PARAMETERS[:4])
     except NotExcitedError as error:
         why_no_load = str(error)
     except IdentificationError as error:
         why_no_load = f"the rest segments agree on nothing: {error}"
     if why_no_load:
+        columns = drift
+        design = np.concatenate([np.zeros((len(phases), 6, 0)), *drift.values()], axis=2)
         try:
-            fit = fit_robust(np.concatenate(list(blocks.values()), axis=2), phases.mean)
+            fit = Problem.untimed(design, phases.mean).robust()
         except IdentificationError:
             return None
-    return _parts(fit, blocks, why_no_load, why_no_drift)
+    columns["offset"] = np.broadcast_to(np.eye(6), (len(phases), 6, 6))
+    return _parts(fit, columns, why_no_load, why_no_drift)
 
 
 def _gravity(phases: StillPhases, tool: CalibrationFile) -> Array:
@@ -137,15 +141,15 @@ def _gravity(phases: StillPhases, tool: CalibrationFile) -> Array:
 
 
 def _parts(
-    fit: RobustFit, blocks: dict[str, Array], why_no_load: str, why_no_drift: str
+    fit: Fit, columns: dict[str, Array], why_no_load: str, why_no_drift: str
 ) -> ResidualParts:
     parts, values, stds, significant = {}, {}, {}, set()
     at = 0
-    for name, design in blocks.items():
-        columns = slice(at, at + design.shape[2])
-        at = columns.stop
-        values[name] = fit.values[columns]
-        covariance = fit.covariance[columns, columns]
+    for name, design in columns.items():
+        places = slice(at, at + design.shape[2])
+        at = places.stop
+        values[name] = fit.values[places]
+        covariance = fit.covariance[places, places]
         stds[name] = np.sqrt(np.diag(covariance))
         parts[name] = rms(design[fit.used] @ values[name])
         distance = values[name] @ np.linalg.pinv(covariance, hermitian=True) @ values[name]

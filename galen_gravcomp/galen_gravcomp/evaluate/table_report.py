@@ -62,8 +62,8 @@ def _content(result: TableEvaluation) -> dict[str, Any]:
         "reason": chosen.reason,
         "rmse": {name: by_axis(score) for name, score in (chosen.scores or {}).items()},
     }
-    if result.mounted is not None:
-        load, worth = result.mounted.single.load, result.worth
+    if result.mounted is not None and result.mounted.mounting is not None:
+        load, worth = result.mounted.load, result.worth
         content["mounted"] = result.mounted.mounting.to_json() | {
             "load": {"mass_kg": load.mass_kg, "com_m": load.com_m.tolist()},
             "pays": None if worth is None else worth.pays,
@@ -109,9 +109,9 @@ def _load_table(result: TableEvaluation) -> Table:
     for axis, value in zip(WRENCH_AXES, result.fit.offset, strict=True):
         unit, scale = ("N", 1.0) if axis[0] == "f" else ("mN.m", 1e3)
         made.add_row(f"bias {axis} ({unit})", f"{value * scale:.3f}", "")
-    if result.mounted is not None:
+    if result.mounted is not None and result.mounted.mounting is not None:
         made.add_section()
-        mounted = result.mounted.single.load
+        mounted = result.mounted.load
         mass, std = mounted.mass_kg * 1e3, mounted.mass_std_kg * 1e3
         made.add_row("with sensor and mounting: mass (g)", f"{mass:.2f}", f"{std:.2f}")
         for name, value, deviation, unit in result.mounted.mounting.rows:

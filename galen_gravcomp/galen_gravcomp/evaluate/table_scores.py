@@ -21,12 +21,11 @@ from galen_bags.arrays.tables import (
 from galen_model.arm.arm import STANDARD_GRAVITY_M_S2
 from galen_model.arrays import Array
 from galen_model.errors import GalenError, IdentificationError
-from galen_model.evidence.block_gain import MOUNTED, PLAIN, ROBUST, Worth, compare
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.choice import ChosenLoad, choose_load, refit
 from galen_model.load.identification import SingleLoad, identify_single_load, plain_least_squares
 from galen_model.load.model import LoadEstimate, gravity_regressor
-from galen_model.load.mounting_identification import MountedLoad, identify_single_load_mounted
+from galen_model.load.mounting_worth import MOUNTED, PLAIN, ROBUST, Worth, compare
 from galen_model.rest.segments import DirectionRest
 from galen_model.setup_check.check import SetupError, SetupFinding, check_setup
 from galen_model.setup_check.readings import fit_load
@@ -55,7 +54,7 @@ Model = Callable[[OrientationTable], Predictor]
 
 def robust_model(known: OrientationTable) -> Predictor:
     """Fit the suite's: axes weighted by their noise, outliers rejected, excitation checked."""
-    found = identify_single_load(known.gravity, known.wrench)
+    found = identify_single_load(known.gravity, known.wrench, arm=known.arm)
     return lambda asked: found.predict(asked.gravity)
 
 
@@ -65,11 +64,9 @@ def plain_model(known: OrientationTable) -> Predictor:
     return lambda asked: gravity_regressor(asked.gravity) @ moments + offset
 
 
-def identify_mounted(groups: tuple[str, ...], known: OrientationTable) -> MountedLoad:
+def identify_mounted(groups: tuple[str, ...], known: OrientationTable) -> SingleLoad:
     """Identify load and mounting groups together. Raises IdentificationError."""
-    return identify_single_load_mounted(
-        known.gravity, known.wrench, groups, known.rotation, arm=known.arm
-    )
+    return identify_single_load(known.gravity, known.wrench, groups, known.rotation, arm=known.arm)
 
 
 def mounted_model(groups: tuple[str, ...], known: OrientationTable) -> Predictor:
@@ -172,7 +169,7 @@ class TableEvaluation:
     tool: CalibrationFile | None = None
     tool_residuals: Array | None = None
     notes: list[str] = field(default_factory=list)
-    mounted: MountedLoad | None = None
+    mounted: SingleLoad | None = None
     worth: Worth | None = None
     setup: SetupFinding | None = None
 
@@ -312,9 +309,9 @@ def _evaluated(
             mounted = _jackknifed(mounted, mounting, table)
     worth = None
     if mounted is None and chosen.mounting is not None:
-        mounted = MountedLoad(fit, chosen.mounting)
+        mounted = replace(fit, mounting=chosen.mounting)
     elif mounted is not None:  # the widest blocks that leave enough to identify the mounting
-        found = (_worth(scores[s], splits[s], mounted.single.sigma) for s in reversed(splits))
+        found = (_worth(scores[s], splits[s], mounted.sigma) for s in reversed(splits))
         worth = next((one for one in found if one is not None), None)
     if not fit.used.all():
         rows = ", ".join(str(row + 1) for row in np.flatnonzero(~fit.used))
@@ -373,19 +370,21 @@ def _load_vector(chosen: ChosenLoad, table: OrientationTable, rows: np.ndarray) 
 
 
 def _jackknifed(
-    mounted: MountedLoad, groups: tuple[str, ...], table: OrientationTable
-) -> MountedLoad:
+    mounted: SingleLoad, groups: tuple[str, ...], table: OrientationTable
+) -> SingleLoad:
 
     def values(rows: np.ndarray) -> Array:
         found = identify_mounted(groups, table.take(rows, None))
-        load = found.single.load
+        assert found.mounting is not None
+        load = found.load
         return np.concatenate([[load.mass_kg], load.com_m, found.mounting.vector])
 
     covariance = _jackknife(table, values)
-    load = replace(mounted.single.load, covariance=covariance[:4, :4])
-    return MountedLoad(
-        replace(mounted.single, load=load),
-        replace(mounted.mounting, covariance=covariance[4:, 4:]),
+    assert mounted.mounting is not None
+    return replace(
+        mounted,
+        load=replace(mounted.load, covariance=covariance[:4, :4]),
+        mounting=replace(mounted.mounting, covariance=covariance[4:, 4:]),
     )
 
 
@@ -426,7 +425,7 @@ def table_prediction(tool: CalibrationFile, table: OrientationTable) -> Array:
 
 
 def tool_from_table(
-    name: str, table: OrientationTable, fit: SingleLoad, mounted: MountedLoad | None = None
+    name: str, table: OrientationTable, fit: SingleLoad, mounted: SingleLoad | None = None
 ) -> CalibrationFile:
     """Make the calibration file of one load and six constants found on `table`.
 
@@ -436,7 +435,7 @@ def tool_from_table(
     """
     predicted = fit.predict(table.gravity)
     if mounted is not None:
-        fit, predicted = mounted.single, mounted.predict(table.gravity, table.rotation)
+        fit, predicted = mounted, mounted.predict(table.gravity, table.rotation)
     residuals = (table.wrench - predicted)[fit.used]
     gravity = table.arm.gravity_m_s2
     if table.orientation == "gravity":

@@ -31,7 +31,7 @@ from galen_model.arrays import Array
 from galen_model.calibrated.columns import load_and_offset
 from galen_model.calibrated.inertia_identification import OTHER_MASS
 from galen_model.errors import IdentificationError, NotExcitedError
-from galen_model.evidence.block_gain import block_gain
+from galen_model.estimation.held_out import block_gain
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.cable import (
     FORMS,

@@ -2,7 +2,7 @@
 
 Residual and columns are in units of the floor, weights about one, noise K block by block
 (`galen_model.evidence.held_out.NoiseForm`). A block that is held out is predicted by the others
-with the density Z(all) / Z(others) (`galen_model.evidence.linear`), parameters' uncertainty
+with the density Z(all) / Z(others) (`galen_model.estimation.evidence`), parameters' uncertainty
 included. Where an effect shows in one of several ways, Z is their mean. K's form, a few numbers, is
 chosen channel by channel where it makes Z of all blocks largest; weights are not in that, being
 integrated out.
@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from galen_model.arrays import Array
-from galen_model.evidence.linear import (
+from galen_model.estimation.evidence import (
     LOG_2PI,
     Information,
     Posterior,

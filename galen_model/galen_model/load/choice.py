@@ -27,7 +27,7 @@ a structure is as good: that one is clearly better by its density already.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,68 +37,34 @@ from galen_model.arm.arm import Arm
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.errors import IdentificationError, NotExcitedError
-from galen_model.load.drifting_bias import (
-    BiasDriftFit,
-    BiasShape,
-    Shape,
-    Shapes,
-    agreeing,
-    finish,
-)
-from galen_model.load.identifiability import LOAD_PARAMETERS, check_excitation
+from galen_model.estimation.curves import CONSTANT, BiasShape, Shape
+from galen_model.estimation.held_out import FEWEST_BLOCKS, held_out, time_blocks
+from galen_model.estimation.problem import MIN_POSES_TO_REJECT, Fit
 from galen_model.load.identification import (
     MIN_POSES,
     Identification,
     SingleLoad,
-    StillPoses,
     SweepBiasDrift,
+    check_loads,
     check_one_sweep,
     check_rejections,
     check_two_sweeps,
-    identify_one_load,
-    identify_one_sweep,
-    identify_two_sweeps,
+    identification,
     load_estimate,
-    one_load_result,
-    one_sweep_result,
-    plain_least_squares,
-    single_load_design,
-    two_sweeps_result,
     zeroing_fault,
 )
 from galen_model.load.model import LoadEstimate
-from galen_model.load.mounting import Mounting, entities
-from galen_model.load.mounting_identification import (
-    MountingProblem,
-    one_sweep_problem,
-    single_problem,
-    two_sweeps_problem,
-    zeroing_pose,
-)
+from galen_model.load.mounting import Mounting
 from galen_model.load.pose_order import drift_warning
-from galen_model.load.reading_model import JointPoses, OrientedPoses
-from galen_model.load.robust_fit import (
-    MIN_POSES_TO_REJECT,
-    PRIOR_READINGS,
-    RobustFit,
-    fit_robust,
-    pooled_sigma,
-    tiny,
-)
+from galen_model.load.readings import LoadReadings, StillPoses
 from galen_model.load.structure import (
     BLOCKS,
-    FEWEST_BLOCKS,
     FLEXIBLE,
     KINDS,
     RESPONSES,
-    SHAPES,
-    Linear,
     LoadStructure,
-    Readings,
     choose_structure,
-    held_out,
     linear,
-    time_blocks,
 )
 
 MARGIN = 0.2
@@ -123,14 +89,13 @@ _SHORT = {
     STRUCTURED: "drift, gains or rotation",
 }
 MOST_COM_STD_M = 0.02
-"""Standard deviation of a centre beyond which it counts as not told."""
+"""Standard deviation of a centre beyond which it counts as unknown."""
 _COMMON_GAIN = (
     "the common gain of the forces and that of the torques: taken as 1; masses and centres hold "
     "its error, which their standard deviations don't (a known mass tells it: --known-mass-kg)"
 )
 # Of the values (m, h, bias): what forces and torques determine.
 _PARAMETERS = np.array([0, 4, 5, 6]), np.array([1, 2, 3, 7, 8, 9])
-_RIVALS = ("joint_zero",), ("joint_zero", "base_inclination")
 _MOST_UNEXPLAINED = 1 / 3  # as many as a calibration may reject
 _FEW_REJECTED = 0.1  # a calibration that rejects more has to look for structure first
 _LONGEST_RUN = 2  # of poses that stand out by chance; more that follow each other are structure
@@ -155,8 +120,10 @@ class _Choice:
     def words(self) -> str:
         """The models for a person."""
         if self.structure is None:
-            told = [_WORDS[PLAIN if self.masks[name].all() else name] for name in self.names]
-            return told[0] if told[0] == told[1] else f"forces: {told[0]}; torques: {told[1]}"
+            force, torque = (
+                _WORDS[PLAIN if self.masks[name].all() else name] for name in self.names
+            )
+            return force if force == torque else f"forces: {force}; torques: {torque}"
         return str(self.structure)
 
 
@@ -177,7 +144,7 @@ class ChosenLoad:
     reason: str = ""
     scores: dict[str, Array] | None = None
     fault: str = ""
-    curves: BiasDriftFit | None = None
+    curves: Fit | None = None
     mounting: Mounting | None = None
     choice: _Choice | None = None
 
@@ -220,8 +187,10 @@ def choose_load(
         IdentificationError: as `identification.identify_single_load` does.
 
     """
-    readings = _single(
-        np.asarray(gravity_sensor, float), np.asarray(wrench, float), time_s, temperature_c, arm
+    readings = replace(
+        LoadReadings.of_orientations(gravity_sensor, wrench, arm=arm),
+        time_s=time_s,
+        temperature_c=temperature_c,
     )
     if len(readings) < MIN_POSES:
         raise IdentificationError(f"{len(readings)} still poses; at least {MIN_POSES} are needed")
@@ -240,8 +209,11 @@ def refit(
 ) -> SingleLoad:
     """Fit the model chosen from all readings (n) to `rows` (n,) of them, without another choice."""
     assert chosen.choice is not None
-    part = None if temperature_c is None else temperature_c[rows]
-    readings = _single(gravity_sensor[rows], wrench[rows], time_s[rows], part, arm)
+    readings = replace(
+        LoadReadings.of_orientations(gravity_sensor[rows], wrench[rows], arm=arm),
+        time_s=time_s[rows],
+        temperature_c=None if temperature_c is None else temperature_c[rows],
+    )
     masks = {name: mask[rows] for name, mask in chosen.choice.masks.items()}
     return _fitted_load(readings, replace(chosen.choice, masks=masks)).single
 
@@ -261,59 +233,47 @@ def choose_calibration(
     adapter alone; None: the readings decide (`zeroing_fault`). If not, tool and adapter are one
     load. Raises as `identify_two_sweeps` does.
     """
-    zero = zeroing_pose(zero_angles, tool.arm)
     apart, why = True, ""
     if bare is None:
-        check_one_sweep(tool)
+        measured = check_one_sweep(tool)
         if zeroed is None:
             why = zeroing_fault(tool, tool.arm.gravity_in_sensor(zero_angles))
         apart = not why if zeroed is None else zeroed
-        measured, final = _one_sweep(tool, zero)
-        if not apart:
-            final = measured
+        final = LoadReadings.of_one_sweep(tool, zero_angles) if apart else measured
     else:
-        check_two_sweeps(bare, tool, zero_angles)
-        measured = final = _two_sweeps(bare, tool, zero)
+        measured = final = check_two_sweeps(bare, tool, zero_angles)
     choice = _choose(measured, None, equal=False, progress=progress)
     if measured.time_s is None:
         choice = replace(choice, reason=f"the poses have no times; {choice.reason}")
     used = choice.masks[choice.names[0]] & choice.masks[choice.names[1]]
-    robust = ROBUST in choice.names or bool(np.all(used == choice.masks[ROBUST]))
-    if STRUCTURED not in choice.names and robust:
-        if bare is not None:
-            found = identify_two_sweeps(bare, tool, zero_angles)
-        elif apart:
-            found = identify_one_sweep(tool, zero_angles)
-        else:
-            found = identify_one_load(tool)
-        return _told(_with_zeroing(found, why), choice, bare, tool)
-    fit, curves, mounting = _fitted(final, choice, used)
+    structure = choice.structure
+    fit, mounting = _fitted(final, choice, used)
     check_rejections(fit)
-    if bare is None and not apart:
-        found = one_load_result(fit, tool)
-    elif bare is None:
-        found = one_sweep_result(fit, tool, zero.gravity(mounting)[0][0])
-    else:
-        drifts = choice.structure is not None and choice.structure.drifts
-        found = two_sweeps_result(fit, bare, tool, drifts=drifts)
-        _check_told(found.load, curves, "the tool")
-        _check_told(found.adapter, curves, "the adapter")
-    if choice.structure is not None and choice.structure.groups:
-        found = replace(found, mounting=mounting)
-        if "gain_ratio" in choice.structure.groups:
-            found = replace(
-                found,
-                unresolved=(*found.unresolved, _COMMON_GAIN),
-                warnings=(*found.warnings, _COMMON_GAIN),
-            )
-    if choice.structure is not None and choice.structure.drifts:
-        count = len(measured) - len(tool)
-        bias = curves.bias
-        found = _drift_told(
+    check_loads(measured, fit.used)
+    groups = () if structure is None else structure.groups
+    drifts = structure is not None and structure.drifts
+    found = identification(
+        fit,
+        mounting if groups else None,
+        tool,
+        bare,
+        gravity_zero=final.zero.gravity(mounting)[0][0] if bare is None and apart else None,
+        drifts=drifts,
+    )
+    if structure is not None and bare is not None:
+        _check_known(found.load, fit, "the tool")
+        _check_known(found.adapter, fit, "the adapter")
+    if "gain_ratio" in groups:
+        found = replace(
             found,
-            SweepBiasDrift(curves.shapes, None if bare is None else bias[:count], bias[count:]),
+            unresolved=(*found.unresolved, _COMMON_GAIN),
+            warnings=(*found.warnings, _COMMON_GAIN),
         )
-    return _told(_with_zeroing(found, why), choice, bare, tool)
+    if drifts:
+        count = len(measured) - len(tool)
+        of_bare = None if bare is None else fit.bias[:count]
+        found = _with_drift(found, SweepBiasDrift(fit.shapes, of_bare, fit.bias[count:]))
+    return _with_choice(_with_zeroing(found, why), choice, bare, tool)
 
 
 def _with_zeroing(found: Identification, why: str) -> Identification:
@@ -329,7 +289,7 @@ def _with_zeroing(found: Identification, why: str) -> Identification:
     return replace(found, warnings=(*found.warnings, text))
 
 
-def _told(
+def _with_choice(
     found: Identification, choice: _Choice, bare: StillPoses | None, tool: StillPoses
 ) -> Identification:
     """Add what was chosen, and a warning where the order of a sweep's poses hides a drift.
@@ -340,90 +300,29 @@ def _told(
     if found.bias_drift is not None:
         # What goes with the temperature has no order.
         shapes = [BiasShape(one.shape, one.roughness) for one in found.bias_drift.shapes]
-    told: dict[str, list[str]] = {}
+    sweeps: dict[str, list[str]] = {}
     for name, sweep in (("without", bare), ("with", tool)):
         if sweep is not None and sweep.time_s is not None:
             price = drift_warning(sweep.gravity, sweep.time_s, shapes)
-            told.setdefault(price, []).append(f"sweep {name} the tool")
-    orders = [f"{' and '.join(names)}: {price}" for price, names in told.items() if price]
+            sweeps.setdefault(price, []).append(f"sweep {name} the tool")
+    orders = [f"{' and '.join(names)}: {price}" for price, names in sweeps.items() if price]
     return replace(
         found, model=choice.words, reason=choice.reason, warnings=(*found.warnings, *orders)
     )
 
 
-def _fitted(
-    readings: Readings, choice: _Choice, used: np.ndarray
-) -> tuple[RobustFit, BiasDriftFit, Mounting]:
-    """Fit the structure chosen, or a constant bias, to the poses `used` (n,).
-
-    The fit's values are the loads' moments, the offsets at each sweep's end, the response.
-    """
+def _fitted(readings: LoadReadings, choice: _Choice, used: np.ndarray) -> tuple[Fit, Mounting]:
+    """Fit the structure chosen, or a constant bias, to the readings `used` (n,)."""
     structure = choice.structure
-    shapes: Shapes = (SHAPES[0],) * 6
-    groups: tuple[str, ...] = ()
-    response = None
-    if structure is not None:
-        shapes, groups, response = structure.shapes, structure.groups, structure.response
-    problem = linear(readings, groups, used, response)
-    curves = finish(problem.sweeps, shapes, used)
-    fit = curves.fit
-    # from (loads, response, offsets) to the problem's own order
-    loads, width = len(problem.loads), len(problem.columns)
-    at = np.arange(len(fit.values))
-    order = np.concatenate([at[:loads], at[width:], at[loads:width]])
-    fit = replace(fit, values=fit.values[order], covariance=fit.covariance[np.ix_(order, order)])
-    return fit, curves, problem.problem.mounting(fit, groups)
-
-
-def _single(
-    gravity: Array, wrench: Array, time_s: Array | None, temperature_c: Array | None, arm: Arm
-) -> Readings:
-    """One load under gravity (n, 3)."""
-    poses = OrientedPoses(gravity, None)
-    return Readings(
-        lambda groups: single_problem(poses, entities(groups, arm), None, arm),
-        wrench, gravity, time_s, np.zeros(len(wrench), dtype=int), temperature_c,
-    )  # fmt: skip
-
-
-def _one_sweep(tool: StillPoses, zero: JointPoses) -> tuple[Readings, Readings]:
-    """Return the sum of tool and adapter, with free offsets, to choose on; and both, as zeroed."""
-    poses = JointPoses(tool.angles, tool.arm)
-    together = replace(
-        _single(tool.gravity, tool.wrench, tool.time_s, tool.temperature_c, tool.arm),
-        problem=lambda groups: single_problem(poses, entities(groups, tool.arm), None, tool.arm),
-        rivals=_RIVALS,
-    )
-    apart = replace(
-        together,
-        problem=lambda groups: one_sweep_problem(poses, zero, entities(groups, tool.arm)),
-        zeroed=True,
-    )
-    return together, apart
-
-
-def _two_sweeps(bare: StillPoses, tool: StillPoses, zero: JointPoses) -> Readings:
-    def problem(groups: Sequence[str]) -> MountingProblem:
-        asked = entities(groups, tool.arm)
-        first, second = (JointPoses(sweep.angles, sweep.arm) for sweep in (bare, tool))
-        return two_sweeps_problem(first, second, zero, asked, None)
-
-    def joined(first: Array | None, second: Array | None) -> Array | None:
-        return None if first is None or second is None else np.concatenate([first, second])
-
-    return Readings(
-        problem,
-        np.concatenate([bare.wrench, tool.wrench]),
-        np.concatenate([bare.gravity, tool.gravity]),
-        joined(bare.time_s, tool.time_s),
-        np.repeat([0, 1], [len(bare), len(tool)]),
-        joined(bare.temperature_c, tool.temperature_c),
-        rivals=_RIVALS,
-    )
+    if structure is None:
+        return readings.of_loads.fit(used), Mounting.of(readings.zero.arm)
+    near = linear(readings, structure.groups, used, structure.response)
+    fit = near.problem.under(structure.shapes).fit(used)
+    return fit, near.model.mounting(fit.values, structure.groups, fit.covariance)
 
 
 def _choose(
-    readings: Readings,
+    readings: LoadReadings,
     groups: np.ndarray | None,
     *,
     equal: bool = True,
@@ -436,11 +335,11 @@ def _choose(
         reason = f"{len(readings)} poses are too few to compare models"
         return _Choice((PLAIN, PLAIN), masks, None, reason)
     explained = _explained(readings)
-    constant = linear(readings, (), every)
+    constant = readings.of_loads
     masks[UNEXPLAINED] = explained
     names, fault = [PLAIN, ROBUST, UNEXPLAINED], ""
     try:
-        fit = fit_robust(constant.whole_design, readings.wrench, constant.problem.known)
+        fit = constant.robust()
         check_rejections(fit)
         masks[ROBUST] = fit.used
     except IdentificationError as error:
@@ -450,14 +349,13 @@ def _choose(
         names.remove(UNEXPLAINED)  # the same as the plain one
     if groups is None:
         groups = time_blocks(readings.order_s, readings.segment, BLOCKS)
-    groups = _spared(constant, np.unique(groups, return_inverse=True)[1], explained)
+    groups = _spared(readings, np.unique(groups, return_inverse=True)[1], explained)
     blocks = len(np.unique(groups[groups >= 0]))
     if blocks < FEWEST_BLOCKS:
         reason = f"{blocks} blocks can be held out, too few to compare models"
         return _Choice((PLAIN, PLAIN), masks, None, reason, fault=fault)
-    flat = (SHAPES[0],) * 6
     residuals = {
-        name: held_out(constant.sweeps, flat, masks[name], groups, equal and name != ROBUST)[0]
+        name: held_out(constant, masks[name], groups, equal=equal and name != ROBUST)[0]
         for name in names
     }
     scored = explained & (groups >= 0)
@@ -488,27 +386,27 @@ def _choose(
     if STRUCTURED in (force, torque):
         kinds = np.repeat([force == STRUCTURED, torque == STRUCTURED], 3)
         shapes = zip(structure.shapes, kinds, strict=True)
-        chosen = replace(structure, shapes=tuple(s if kind else SHAPES[0] for s, kind in shapes))
+        chosen = replace(structure, shapes=tuple(s if kind else CONSTANT for s, kind in shapes))
     return _Choice((force, torque), masks, chosen, reason, scores, fault)
 
 
-def _spared(constant: Linear, groups: np.ndarray, explained: np.ndarray) -> np.ndarray:
+def _spared(readings: LoadReadings, groups: np.ndarray, explained: np.ndarray) -> np.ndarray:
     """Labels (n,) of the blocks without which the poses still tell the loads; -1 for others."""
     result = np.full(len(groups), -1)
     for label in np.unique(groups[explained]):
         try:
-            constant.check(groups != label)
+            check_loads(readings, groups != label)
         except IdentificationError:
             continue
         result[groups == label] = label
     return result
 
 
-def _explained(readings: Readings) -> np.ndarray:
+def _explained(readings: LoadReadings) -> np.ndarray:
     """Mask (n,) of the poses that readings affine in gravity and a bias drift explain."""
     every = np.ones(len(readings), dtype=bool)
     try:
-        used = agreeing(readings.affine(), (FLEXIBLE,) * 6)
+        used = readings.affine().under((FLEXIBLE,) * 6).agreeing()
     except IdentificationError:
         return every
     for run in _runs(readings, used):
@@ -516,7 +414,7 @@ def _explained(readings: Readings) -> np.ndarray:
     return used if np.mean(~used) <= _MOST_UNEXPLAINED else every
 
 
-def _runs(readings: Readings, used: np.ndarray) -> list[np.ndarray]:
+def _runs(readings: LoadReadings, used: np.ndarray) -> list[np.ndarray]:
     """Return the poses not used (n,) that follow each other beyond chance, run by run."""
     order = np.lexsort((readings.order_s, readings.segment))
     runs = np.split(order, np.flatnonzero(np.diff(used[order])) + 1)
@@ -526,7 +424,7 @@ def _runs(readings: Readings, used: np.ndarray) -> list[np.ndarray]:
 def _agreeing(structure: LoadStructure, explained: np.ndarray) -> np.ndarray:
     """Mask (n,) of the poses that the structure explains."""
     try:
-        used = agreeing(structure.linear.sweeps, structure.shapes)
+        used = structure.linear.problem.under(structure.shapes).agreeing()
     except IdentificationError:
         return explained
     return used if np.mean(~used) <= _MOST_UNEXPLAINED else explained
@@ -562,79 +460,63 @@ def _ratio(score: Array, other: Array) -> Array:
 
 def _reason(scores: dict[str, Array], blocks: int) -> str:
     """Say how the candidates did beside the plain one: mean over the axes, and the worst axis."""
-    told = []
+    parts = []
     for name, score in scores.items():
         if name != PLAIN and np.all(np.isfinite(score)):
             ratio = _ratio(score, scores[PLAIN])
             worst = int(np.argmax(ratio))
             mean = np.exp(np.mean(np.log(ratio)))
-            told.append(
+            parts.append(
                 f"{_SHORT[name]} {mean:.2f} (worst {WRENCH_AXES[worst]} {ratio[worst]:.2f})"
             )
     if STRUCTURED not in scores:
-        told.append("no drift, gain or rotation is clear")
-    compared = "; ".join(told)
+        parts.append("no drift, gain or rotation is clear")
+    compared = "; ".join(parts)
     return f"residual on {blocks} held-out blocks relative to plain least squares: {compared}"
 
 
-def _fitted_load(readings: Readings, choice: _Choice) -> ChosenLoad:
+def _fitted_load(readings: LoadReadings, choice: _Choice) -> ChosenLoad:
     """Fit the candidates chosen of one load; raises IdentificationError."""
     curves, mounting, fits = None, None, {}
     for name in set(choice.names):
         used = choice.masks[name]
         if name == STRUCTURED:
-            fits[name], curves, turned = _fitted(readings, choice, used)
+            fits[name], turned = _fitted(readings, choice, used)
+            curves = fits[name]
             if choice.structure is not None and choice.structure.groups:
                 mounting = turned
         elif name == ROBUST:
-            fits[name] = fit_robust(single_load_design(readings.gravity), readings.wrench)
+            fits[name] = readings.of_loads.robust()
         else:
-            fits[name] = _least_squares(readings, used)
+            fits[name] = readings.of_loads.fit(used, equal=True)
         check_rejections(fits[name])
-    fit = _joined(fits[choice.names[0]], fits[choice.names[1]])
-    check_excitation(single_load_design(readings.gravity[fit.used]), LOAD_PARAMETERS[:4])
-    load = load_estimate(fit, slice(0, 4), "the load")
+    single = _joined(fits[choice.names[0]], fits[choice.names[1]])
+    check_loads(readings, single.used)
     if curves is not None:
-        _check_told(load, curves, "the load")
-    single = SingleLoad(load, fit.values[4:10], fit.sigma, fit.used)
+        _check_known(single.load, curves, "the load")
     return ChosenLoad(
         choice.names, single, choice.words, choice.reason, choice.scores, choice.fault, curves,
         mounting, choice,
     )  # fmt: skip
 
 
-def _least_squares(readings: Readings, used: np.ndarray) -> RobustFit:
-    """Fit poses `used` (n,), axes of a kind alike; the covariance holds each axis's noise."""
-    design, count = single_load_design(readings.gravity), int(used.sum())
-    wrench = readings.wrench
-    values = np.concatenate(plain_least_squares(readings.gravity[used], wrench[used]))
-    residuals = wrench - design @ values
-    freedom = np.full(6, max(count - 10.0 / 6.0, 1.0))
-    squares = np.sum(residuals[used] ** 2, axis=0)
-    sigma = np.maximum(pooled_sigma(squares, freedom), tiny(wrench))
-    inverse = np.linalg.pinv(design[used].reshape(-1, 10))
-    # as in robust_fit: sigma is itself estimated
-    known = float(freedom[0]) + PRIOR_READINGS
-    covariance = (inverse * np.tile(sigma**2, count)) @ inverse.T * known / (known - 2.0)
-    distance = np.sqrt(np.sum((residuals / sigma) ** 2, axis=1))
-    return RobustFit(values, covariance, residuals, sigma, used, distance)
-
-
-def _joined(force: RobustFit, torque: RobustFit) -> RobustFit:
+def _joined(force: Fit, torque: Fit) -> SingleLoad:
     """Take mass and force bias from one fit, first moment and torque bias from the other."""
-    if force is torque:
-        return force
-    values, covariance = force.values[:10].copy(), np.zeros((10, 10))
-    residuals, sigma = force.residuals.copy(), force.sigma.copy()
+    values, covariance = np.zeros(10), np.zeros((10, 10))
+    sigma = force.sigma.copy()
     for fit, rows, axes in zip((force, torque), _PARAMETERS, KINDS, strict=True):
-        values[rows] = fit.values[rows]
-        covariance[np.ix_(rows, rows)] = fit.covariance[np.ix_(rows, rows)]
-        residuals[:, axes], sigma[axes] = fit.residuals[:, axes], fit.sigma[axes]
-    distance = np.sqrt(np.sum((residuals / sigma) ** 2, axis=1))
-    return RobustFit(values, covariance, residuals, sigma, force.used & torque.used, distance)
+        # loads, response, offsets
+        places = np.concatenate([np.arange(4), np.arange(len(fit.values))[-6:]])
+        values[rows] = fit.values[places[rows]]
+        covariance[np.ix_(rows, rows)] = fit.covariance[np.ix_(places[rows], places[rows])]
+        sigma[axes] = fit.sigma[axes]
+    if force is torque:
+        covariance = force.covariance[np.ix_(places, places)]
+    load = load_estimate(values, covariance, "the load")
+    return SingleLoad(load, values[4:], sigma, force.used & torque.used)
 
 
-def _check_told(load: LoadEstimate, found: BiasDriftFit, name: str) -> None:
+def _check_known(load: LoadEstimate, found: Fit, name: str) -> None:
     """Raise NotExcitedError where drift and load look so alike that the centre is not known."""
     worst = float(load.com_std_m.max())
     if worst > MOST_COM_STD_M:
@@ -645,7 +527,7 @@ def _check_told(load: LoadEstimate, found: BiasDriftFit, name: str) -> None:
         )
 
 
-def _drift_told(found: Identification, bias_drift: SweepBiasDrift) -> Identification:
+def _with_drift(found: Identification, bias_drift: SweepBiasDrift) -> Identification:
     """Add what the bias did."""
     parts = [part for part in (bias_drift.bare, bias_drift.tool) if part is not None]
     span = np.max([np.ptp(part, axis=0) for part in parts], axis=0)

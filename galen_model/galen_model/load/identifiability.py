@@ -23,7 +23,6 @@ would be. Cf. the confusability D_ij = |(1 - P_{S_j}) S_i|.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -34,7 +33,7 @@ from galen_model.errors import NotExcitedError
 from galen_model.load.mounting import COMMON_ZERO, FORCE_GAIN, TORQUE_GAIN
 
 if TYPE_CHECKING:
-    from galen_model.load.identification import StillPoses
+    from galen_model.load.readings import StillPoses
 
 LOAD_PARAMETERS = tuple(
     f"the {load}'s {what}"
@@ -138,32 +137,29 @@ def _join(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]
 
 
-@dataclass(frozen=True)
-class JacobianColumns:
-    """Which columns of the Jacobian are what, and the names of the last ones."""
-
-    masses: Sequence[int]
-    centres: Sequence[int]
-    offsets: Sequence[int]
-    names: Sequence[str]
-
-
 def check_identifiable(
     jacobian: Array,
     sigma: Array,
-    columns: JacobianColumns,
+    loads: int,
+    names: Sequence[str],
     known_rows: Array,
     max_std: float | None = MAX_STD,
 ) -> None:
     """Raise NotExcitedError naming the pairs, unless every parameter is identifiable.
 
-    jacobian: (n, 6, p); sigma: (6,) noise of a reading; known_rows: (k, p) what is known of the
-    loads beforehand, over its standard deviation. max_std None: before the noise is known.
+    Args:
+        jacobian: (n, 6, p), columns: the loads' moments, the parameters, the offsets.
+        sigma: (6,) noise of a reading.
+        loads: number of moments.
+        names: of the parameters.
+        known_rows: (k, p) what is known of the loads beforehand, over its standard deviation.
+        max_std: None: the noise is not known yet.
+
     """
-    space = _Space(jacobian, sigma, columns, known_rows, max_std)
-    order = {name: place for place, name in enumerate(columns.names)}
+    space = _Space(jacobian, sigma, loads, names, known_rows, max_std)
+    order = {name: place for place, name in enumerate(names)}
     pairs: dict[frozenset[str], str] = {}
-    for index, name in enumerate(columns.names):
+    for index, name in enumerate(names):
         twins = space.twins(index)
         if twins is None:
             continue
@@ -189,7 +185,8 @@ class _Space:
         self,
         jacobian: Array,
         sigma: Array,
-        columns: JacobianColumns,
+        loads: int,
+        names: Sequence[str],
         known: Array,
         max_std: float | None,
     ) -> None:
@@ -199,10 +196,14 @@ class _Space:
         # What is known beforehand is as good as it is stated, beside readings however exact.
         self._limit = _EXACT if len(known) else MAX_INFLATION
         self._max_std = max_std
-        self._names = columns.names
-        self._first = self._rows.shape[1] - len(columns.names)
-        self._offsets = list(columns.offsets)
-        self._loads = {_MASSES: list(columns.masses), _CENTRES: list(columns.centres)}
+        self._names = names
+        self._first = loads
+        self._offsets = list(range(loads + len(names), self._rows.shape[1]))
+        moments = np.arange(loads)
+        self._loads = {
+            _MASSES: moments[moments % 4 == 0].tolist(),
+            _CENTRES: moments[moments % 4 != 0].tolist(),
+        }
 
     def twins(self, index: int) -> tuple[str, ...] | None:
         """Names of what parameter `index` is confused with, () for none in particular.

@@ -1,18 +1,15 @@
-"""Identify loads at the wrist from averaged readings of still poses.
+"""Identify loads at the wrist, offsets and, where asked, the mounting, from still poses.
 
-The model is linear in the loads' moments x = (m, h = m p) (see `galen_model.load.model`), with
-G(theta) the gravity regressor and G_0 the one at the pose where the sensor was zeroed:
+After two sweeps tool, adapter and both offsets are known. With one sweep the offset has to be taken
+as the zeroing's own noise, and even then only the sum of tool and adapter is known for the part of
+h along gravity at the zeroing pose, because the sensor reads G(theta) (x_t + x_b) - G_0 x_b, and
+g_0 x h_b holds nothing of h_b along g_0. Of a sensor that was not zeroed so, one sweep gives one
+load, tool and adapter together, and the offset. The model: `galen_model.load.readings`.
 
-    sweep without the tool:   y_i = (G(theta_i) - G_0) x_b               + o_bare
-    sweep with the tool:      y_i = G(theta_i) x_t + (G(theta_i) - G_0) x_b + o_tool
-
-x_t belongs to the tool, x_b to the adapter ("bias load"). The offsets o hold what the zeroing left
-and how far the sensor had drifted when each sweep was made; they are free and apart, so that a
-slow drift between the two sweeps reaches neither mass nor centre. After two sweeps everything is
-told. With one sweep the offset has to be taken as the zeroing's own noise, and even then only the
-sum of tool and adapter is known for the part of h along gravity at the zeroing pose, because the
-sensor reads G(theta) (x_t + x_b) - G_0 x_b, and g_0 x h_b says nothing of h_b along g_0. Of a
-sensor that was not zeroed so, one sweep tells one load, tool and adapter together, and the offset.
+The mounting is found by Gauss-Newton, each step of which is a robust fit
+(`galen_model.estimation.problem`). Before and after, `identifiability` rejects parameters that the
+poses don't identify. No parameter of the mounting has a prior; of the loads only what the caller
+has measured otherwise (a scale, a drawing) enters.
 
 Source: the 2019 report's eqs. (1)-(8) with the errata's bias term, as one least-squares problem
 that uses force and torque of both sweeps together.
@@ -20,8 +17,8 @@ that uses force and torque of both sweeps together.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -31,13 +28,18 @@ from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_ppf
 from galen_model.errors import IdentificationError, NotExcitedError
-from galen_model.load.identifiability import LOAD_PARAMETERS, check_excitation
+from galen_model.estimation.curves import Shapes
+from galen_model.estimation.problem import Fit, Known, gauss_newton
+from galen_model.load.identifiability import (
+    LOAD_PARAMETERS,
+    MAX_STD,
+    check_excitation,
+    check_identifiable,
+)
 from galen_model.load.model import LoadEstimate, gravity_regressor
-from galen_model.load.robust_fit import Prior, RobustFit, fit_robust
-
-if TYPE_CHECKING:
-    from galen_model.load.drifting_bias import Shapes
-    from galen_model.load.mounting import Mounting
+from galen_model.load.mounting import Mounting
+from galen_model.load.reading_model import ReadingModel
+from galen_model.load.readings import LoadReadings, StillPoses, single_load_design, with_offsets
 
 MIN_POSES = 4
 """Fewer still poses than this leave no residual worth the name."""
@@ -48,83 +50,11 @@ _BIAS_DRIFT_SIGMAS = 4.0  # by chance in one calibration of a thousand, over its
 _ZEROED_SQUARE = float(chi2_ppf(0.999, 3))
 _SURE = 3.0  # standard deviations
 _FARTHEST_ADAPTER_M = 0.3
+_STEPS = 20
+_STEPS_OF_REJECTION = 6  # readings that come and go with every step would never end
+_LARGEST_RESPONSE = 1.0  # rad or a gain
 ONE_LOAD = ("tool and adapter: found as one load, with the sensor's constant offset",)
-"""What a sweep of a sensor that was not zeroed does not tell."""
-
-_UNOBSERVED_MOMENT_STD_KGM = 0.01  # 100 g at 100 mm: wider than any adapter's first moment
-
-
-@dataclass(frozen=True)
-class StillPoses:
-    """Averaged readings of n still poses of one sweep.
-
-    angles: (n, k) of the turning joints, rad; wrench: (n, 6) N and N.m; std_of_mean: (n, 6), the
-    averaged reading's standard deviation from the scatter within each pose, or None; time_s: (n,)
-    when each was taken, s from anywhere, or None. A bias that drifts needs it. temperature_c: (n,)
-    of the sensor, deg C, or None.
-    """
-
-    angles: Array
-    wrench: Array
-    std_of_mean: Array | None = None
-    time_s: Array | None = None
-    arm: Arm = field(kw_only=True)
-    temperature_c: Array | None = None
-
-    def __post_init__(self) -> None:
-        """Check shapes and values; raises IdentificationError."""
-        count, names = len(self.angles), self.arm.turning_names
-        if self.angles.shape != (count, len(names)):
-            raise IdentificationError(
-                f"angles of the still poses have shape {self.angles.shape}; expected ({count},"
-                f" {len(names)}) for {', '.join(names)}"
-            )
-        if self.wrench.shape != (count, 6):
-            raise IdentificationError(
-                f"wrenches of the still poses have shape {self.wrench.shape}; expected ({count}, 6)"
-            )
-        named = {"angles": self.angles, "wrench": self.wrench}
-        for name, column in (("time", self.time_s), ("temperature", self.temperature_c)):
-            if column is not None:
-                if column.shape != (count,):
-                    raise IdentificationError(
-                        f"angles and {name} of the still poses differ in length"
-                    )
-                named[name] = column
-        for name, values in named.items():
-            if not np.all(np.isfinite(values)):
-                raise IdentificationError(f"{name} of the still poses holds a non-finite value")
-
-    def __len__(self) -> int:
-        """Return the number of poses."""
-        return len(self.angles)
-
-    @property
-    def gravity(self) -> Array:
-        """Gravity (n, 3) in ft_sensor, m/s^2."""
-        return self.arm.gravity_in_sensor(self.angles)
-
-    @property
-    def noise(self) -> Array | None:
-        """Standard deviation (6,) of an averaged reading, N and N.m; None where it is not known."""
-        if self.std_of_mean is None:
-            return None
-        return np.asarray(np.sqrt(np.mean(self.std_of_mean**2, axis=0)))
-
-    def take(self, rows: np.ndarray) -> StillPoses:
-        """Return the poses `rows` (n,), a mask."""
-
-        def part(column: Array | None) -> Array | None:
-            return None if column is None else column[rows]
-
-        return StillPoses(
-            self.angles[rows],
-            self.wrench[rows],
-            part(self.std_of_mean),
-            part(self.time_s),
-            part(self.temperature_c),
-            arm=self.arm,
-        )
+"""What a sweep of a sensor that was not zeroed does not show."""
 
 
 @dataclass(frozen=True)
@@ -175,89 +105,94 @@ class Identification:
     """Whether tool and adapter are apart; else the load is both, and the offset the sensor's."""
 
 
-def identify_two_sweeps(
-    bare: StillPoses, tool: StillPoses, zero_angles: ArrayLike | None = None
-) -> Identification:
-    """Tool and adapter from a sweep without the tool and one with it.
+@dataclass(frozen=True)
+class KnownLoad:
+    """What is known of the load otherwise: its mass, as of a scale, and its centre (3,) or None.
 
-    Raises NotExcitedError naming what the poses don't tell, IdentificationError for a mass that is
-    not positive, too few poses or too many that fit no load.
+    It must not come from the sensor that is being calibrated.
     """
-    design = check_two_sweeps(bare, tool, zero_angles)
+
+    mass_kg: float
+    mass_std_kg: float
+    com_m: Array | None = None
+    com_std_m: float | None = None
+
+    def __post_init__(self) -> None:
+        """Check the values; raises IdentificationError."""
+        if not (0.0 < self.mass_kg < np.inf and 0.0 < self.mass_std_kg < np.inf):
+            raise IdentificationError(
+                f"the known mass is {self.mass_kg:g} +- {self.mass_std_kg:g} kg: both are positive"
+            )
+        if (self.com_m is None) != (self.com_std_m is None):
+            raise IdentificationError(
+                "a known centre needs its standard deviation, and it a centre"
+            )
+        if self.com_std_m is not None and not 0.0 < self.com_std_m < np.inf:
+            raise IdentificationError(f"the known centre's deviation is {self.com_std_m:g} m")
+
+    def of_moments(self, parameters: int) -> Known:
+        """Return it as knowledge of the moments (m, h), the first four of p parameters.
+
+        h - p m = 0 within m times the centre's deviation.
+        """
+        count = 1 if self.com_m is None else 4
+        rows, values = np.zeros((count, parameters)), np.zeros(count)
+        std = np.full(count, self.mass_std_kg)
+        rows[0, 0], values[0] = 1.0, self.mass_kg
+        if self.com_m is not None and self.com_std_m is not None:
+            rows[1:, 1:4] = np.eye(3)
+            rows[1:, 0] = -np.asarray(self.com_m, dtype=float)
+            std[1:] = self.mass_kg * self.com_std_m
+        return Known(rows, values, std)
+
+
+def identify_two_sweeps(
+    bare: StillPoses,
+    tool: StillPoses,
+    zero_angles: ArrayLike | None = None,
+    groups: Sequence[str] = (),
+    known: KnownLoad | None = None,
+) -> Identification:
+    """Identify tool and adapter from a sweep without the tool and one with it.
+
+    Args:
+        bare: the sweep without the tool.
+        tool: the sweep with it.
+        zero_angles: (k,) where the sensor was zeroed, rad; None: the arm's home.
+        groups: of the mounting, to be found as well; rmse and offsets are of the raw axes.
+        known: what is known of the tool otherwise.
+
+    Raises:
+        NotExcitedError: naming what the poses don't tell.
+        IdentificationError: for a mass that is not positive, too few poses or too many that fit no
+            load.
+
+    """
+    readings = check_two_sweeps(bare, tool, zero_angles)
+    if known is not None:
+        readings = replace(readings, known=known.of_moments(8))
     poses = {"without the tool": bare, "with the tool": tool}
-    fit = fit_robust(design, np.concatenate([bare.wrench, tool.wrench]))
-    check_rejections(fit)
-    check_excitation(design[fit.used], LOAD_PARAMETERS, poses)
-    return two_sweeps_result(fit, bare, tool)
+    fit, mounting = fit_robust(readings, groups, poses=poses)
+    return identification(fit, mounting if groups else None, tool, bare)
 
 
 def check_two_sweeps(
     bare: StillPoses, tool: StillPoses, zero_angles: ArrayLike | None = None
-) -> Array:
-    """Return the design of `two_sweeps_design`; raises as `identify_two_sweeps` before a fit."""
+) -> LoadReadings:
+    """Return both sweeps' readings; raises as `identify_two_sweeps` does before a fit."""
     check_count(bare, "sweep without the tool")
     check_count(tool, "sweep with the tool")
-    zero = gravity_regressor(tool.arm.gravity_in_sensor(zero_angles))
-    bare_rows = gravity_regressor(bare.gravity) - zero
-    tool_rows = gravity_regressor(tool.gravity)
-    design = two_sweeps_design(bare_rows, tool_rows, zero)
-    poses = {"without the tool": bare, "with the tool": tool}
-    check_excitation(design, LOAD_PARAMETERS, poses)
-    check_channels(bare_rows, bare, "sweep without the tool")
-    check_channels(tool_rows, tool, "sweep with the tool")
-    return design
+    readings = LoadReadings.of_two_sweeps(bare, tool, zero_angles)
+    check_loads(readings, poses={"without the tool": bare, "with the tool": tool})
+    design = readings.of_loads.design
+    check_channels(design[: len(bare), :, 4:8], bare, "sweep without the tool")
+    check_channels(design[len(bare) :, :, :4], tool, "sweep with the tool")
+    return readings
 
 
-def check_one_sweep(tool: StillPoses) -> None:
-    """Raise as `identify_one_sweep` does before a fit.
-
-    The sum of both loads must show in the poses themselves, whatever the zeroing tells.
-    """
-    check_count(tool, "sweep with the tool")
-    check_excitation(single_load_design(tool.gravity), LOAD_PARAMETERS[:4], {"with the tool": tool})
-    check_channels(gravity_regressor(tool.gravity), tool, "sweep with the tool")
-
-
-def two_sweeps_result(
-    fit: RobustFit, bare: StillPoses, tool: StillPoses, *, drifts: bool = False
+def identify_one_sweep(
+    tool: StillPoses, zero_angles: ArrayLike | None = None, groups: Sequence[str] = ()
 ) -> Identification:
-    """Return what a fit to both sweeps found; drifts: a change between the sweeps is no news.
-
-    Its values: see `two_sweeps_design`, any others last.
-
-    Raises IdentificationError.
-    """
-    used_bare, used_tool = fit.used[: len(bare)], fit.used[len(bare) :]
-    change = fit.values[14:20] - fit.values[8:14]
-    change_matrix = np.zeros((6, len(fit.values)))
-    change_matrix[:, 14:20], change_matrix[:, 8:14] = np.eye(6), -np.eye(6)
-    change_std = np.sqrt(np.diag(change_matrix @ fit.covariance @ change_matrix.T))
-    warnings = [
-        *_noise_warnings(fit, _joined_std(bare, tool)),
-        *([] if drifts else _drift_warnings(change, change_std, fit.sigma)),
-        *_bias_drift_warnings(fit, slice(0, len(bare)), "sweep without the tool"),
-        *_bias_drift_warnings(fit, slice(len(bare), None), "sweep with the tool"),
-    ]
-    return Identification(
-        load=load_estimate(fit, slice(0, 4), "the tool"),
-        adapter=load_estimate(fit, slice(4, 8), "the adapter"),
-        offset=fit.values[14:20],
-        offset_std=np.sqrt(np.diag(fit.covariance)[14:20]),
-        offset_change=change,
-        offset_change_std=change_std,
-        rmse=_rmse(fit.residuals[len(bare) :], used_tool),
-        sigma=fit.sigma,
-        used_tool=used_tool,
-        used_bare=used_bare,
-        outliers=(
-            *_outliers(fit, np.arange(len(bare)), "bare"),
-            *_outliers(fit, len(bare) + np.arange(len(tool)), "tool"),
-        ),
-        warnings=tuple(warnings),
-    )
-
-
-def identify_one_sweep(tool: StillPoses, zero_angles: ArrayLike | None = None) -> Identification:
     """Identify tool and adapter from one sweep with the tool on, after zeroing without it.
 
     The compensation is fully determined; the split between tool and adapter is not: `unresolved`
@@ -267,53 +202,218 @@ def identify_one_sweep(tool: StillPoses, zero_angles: ArrayLike | None = None) -
     The offset is taken as the zeroing's noise, as large as that of one averaged reading. A sensor
     that has drifted since it was zeroed is mistaken for adapter mass; two sweeps don't do that.
 
+    Args and errors: as of `identify_two_sweeps`.
+    """
+    together = check_one_sweep(tool)
+    readings = LoadReadings.of_one_sweep(tool, zero_angles)
+    fit, mounting = fit_robust(readings, groups, together, {"with the tool": tool})
+    gravity_zero = readings.zero.gravity(mounting)[0][0]
+    return identification(fit, mounting if groups else None, tool, gravity_zero=gravity_zero)
+
+
+def check_one_sweep(tool: StillPoses) -> LoadReadings:
+    """Return the sweep's readings as of one load; raises as `identify_one_sweep` before a fit.
+
+    The sum of both loads must show in the poses themselves, whatever the zeroing tells.
+    """
+    check_count(tool, "sweep with the tool")
+    readings = LoadReadings.of_one_load(tool)
+    check_loads(readings, poses={"with the tool": tool})
+    check_channels(gravity_regressor(tool.gravity), tool, "sweep with the tool")
+    return readings
+
+
+def identify_one_load(tool: StillPoses) -> Identification:
+    """Identify tool and adapter as one load, with the sensor's own constant offset, from one sweep.
+
     Raises as `identify_two_sweeps` does.
     """
-    check_one_sweep(tool)
-    gravity_zero = tool.arm.gravity_in_sensor(zero_angles)
-    rows = gravity_regressor(tool.gravity)
-    design = np.zeros((len(tool), 6, 14))
-    design[:, :, :4] = rows
-    design[:, :, 4:8] = rows - gravity_regressor(gravity_zero)
-    design[:, :, 8:14] = np.eye(6)
-    fit = fit_robust(design, tool.wrench, Prior(*one_sweep_prior(gravity_zero), slice(8, 14)))
-    check_rejections(fit)
-    sum_design = single_load_design(tool.gravity[fit.used])
-    check_excitation(sum_design, LOAD_PARAMETERS[:4], {"with the tool": tool})
-    return one_sweep_result(fit, tool, gravity_zero)
+    fit, _ = fit_robust(check_one_sweep(tool), poses={"with the tool": tool})
+    return identification(fit, None, tool)
 
 
-def one_sweep_result(fit: RobustFit, tool: StillPoses, gravity_zero: Array) -> Identification:
-    """Return what a fit to one sweep found; its values: see `identify_one_sweep`, any others last.
+def fit_robust(
+    readings: LoadReadings,
+    groups: Sequence[str] = (),
+    shown: LoadReadings | None = None,
+    poses: Mapping[str, StillPoses] | None = None,
+) -> tuple[Fit, Mounting]:
+    """Fit loads, offsets and mounting to the readings that agree.
 
-    gravity_zero: (3,) in ft_sensor where the sensor was zeroed, m/s^2. Raises IdentificationError.
+    Args:
+        readings: n of them.
+        groups: of the mounting.
+        shown: n readings in which loads and mounting must show; None: `readings`. What tool and
+            adapter are together must show in a sweep itself, whatever the zeroing tells.
+        poses: the sweeps, for the error's text.
+
+    Returns:
+        The fit, whose values are the loads' moments, the mounting along `groups`, the offsets of
+        each sweep; and the mounting.
+
+    Raises:
+        NotExcitedError: naming what the poses don't tell.
+        IdentificationError: where too few agree.
+
     """
+    shown = readings if shown is None else shown
+    model = readings.model(groups)
+    if not groups:
+        fit = readings.of_loads.robust()
+    else:
+        fit = _fit_mounting(readings, model, shown)
+    check_rejections(fit)
+    check_loads(shown, fit.used, poses)
+    if groups:
+        values = _of_shown(fit.values, readings, shown, model)
+        check_mounting(shown, model, values, fit.sigma, MAX_STD, fit.used)
+    return fit, model.mounting(fit.values, tuple(groups), fit.covariance)
+
+
+def _fit_mounting(readings: LoadReadings, model: ReadingModel, shown: LoadReadings) -> Fit:
+    """Fit by Gauss-Newton from loads without a mounting."""
+    first = readings.of_loads.fit(np.ones(len(readings), dtype=bool), equal=True)
+    start = np.concatenate([first.values[: model.loads], np.zeros(len(model.entities))])
+    check_mounting(shown, model, _of_shown(start, readings, shown, model), first.sigma, None)
+    used: list[np.ndarray] = []
+
+    def solve(values: Array) -> Fit:
+        problem = readings.linearised(model, values)
+        if len(used) < _STEPS_OF_REJECTION:
+            used.append(problem.agreeing())
+        return problem.fit(used[-1])
+
+    largest = np.repeat([np.inf, _LARGEST_RESPONSE], [model.loads, len(model.entities)])
+    return gauss_newton(solve, start, largest, _STEPS)
+
+
+def _of_shown(
+    values: Array, readings: LoadReadings, shown: LoadReadings, model: ReadingModel
+) -> Array:
+    """Return loads and mounting (p,) as those have them in which they must show."""
+    found = values[: model.loads + len(model.entities)]
+    if shown.loads == readings.loads:
+        return found
+    return np.concatenate([found[:4] + found[4:8], found[8:]])
+
+
+def check_loads(
+    readings: LoadReadings,
+    used: np.ndarray | None = None,
+    poses: Mapping[str, StillPoses] | None = None,
+) -> None:
+    """Raise NotExcitedError where the readings, or those `used` (n,), don't tell the loads."""
+    design = with_offsets(readings.of_loads.design, readings.segment)
+    rows = slice(None) if used is None else used
+    check_excitation(design[rows], LOAD_PARAMETERS[: readings.loads], poses)
+
+
+def check_mounting(
+    readings: LoadReadings,
+    model: ReadingModel,
+    values: Array,
+    sigma: Array,
+    max_std: float | None,
+    used: np.ndarray | None = None,
+) -> None:
+    """Raise NotExcitedError unless the readings, or those `used` (n,), tell the mounting.
+
+    Args:
+        readings: n of them.
+        model: with the mounting's entities; its sweeps don't count.
+        values: (p,) loads and mounting, near which the readings are linear.
+        sigma: (6,) noise of a reading.
+        max_std: largest standard deviation, rad or a gain; None: the noise is not known yet.
+        used: mask (n,).
+
+    """
+    own = replace(model, sweeps=readings.sweeps, zero=readings.zero, loads=readings.loads)
+    jacobian = with_offsets(own.evaluate(values)[1], readings.segment)
+    rows = np.zeros((0, jacobian.shape[2]))
+    if readings.known is not None:
+        beside = jacobian.shape[2] - readings.loads
+        rows = readings.known.beside(beside).whitened
+    names = [entity.name for entity in model.entities]
+    check_identifiable(
+        jacobian if used is None else jacobian[used], sigma, readings.loads, names, rows, max_std
+    )
+
+
+def identification(
+    fit: Fit,
+    mounting: Mounting | None,
+    tool: StillPoses,
+    bare: StillPoses | None = None,
+    *,
+    gravity_zero: Array | None = None,
+    drifts: bool = False,
+) -> Identification:
+    """Return what a fit found of two sweeps, or of one.
+
+    Args:
+        fit: its values as `fit_robust` has them.
+        mounting: None unless it was asked for, or chosen.
+        tool: the sweep with the tool.
+        bare: the sweep without it, or None.
+        gravity_zero: (3,) in the sensor's frame where it was zeroed with the adapter alone before
+            the only sweep, m/s^2; None: two sweeps, or tool and adapter are one load.
+        drifts: a change of the offset between the sweeps is no news.
+
+    Raises:
+        IdentificationError: for a mass that is not positive.
+
+    """
+    first = 0 if bare is None else len(bare)
+    apart = bare is not None or gravity_zero is not None
+    change, change_std = None, None
+    unresolved: tuple[str, ...] = ()
+    warnings = _noise_warnings(fit, _joined_std(tool, bare))
+    if bare is not None:
+        places = np.arange(len(fit.values))[-12:]
+        change = fit.values[places[6:]] - fit.values[places[:6]]
+        rows = np.eye(len(fit.values))
+        across = rows[places[6:]] - rows[places[:6]]
+        change_std = np.sqrt(np.diag(across @ fit.covariance @ across.T))
+        warnings += [] if drifts else _drift_warnings(change, change_std, fit.sigma)
+        warnings += _bias_drift_warnings(fit, slice(0, first), "sweep without the tool")
+    warnings += _bias_drift_warnings(fit, slice(first, None), "sweep with the tool")
+    if not apart:
+        unresolved = ONE_LOAD
+    elif gravity_zero is not None:
+        unresolved = (_unresolved(fit, gravity_zero),)
+        warnings += unresolved
+    return Identification(
+        load=load_estimate(fit.values, fit.covariance, "the tool" if apart else "the load"),
+        adapter=load_estimate(fit.values, fit.covariance, "the adapter", 4)
+        if apart
+        else LoadEstimate(0.0, np.zeros(3), np.zeros((4, 4))),
+        offset=fit.values[-6:],
+        offset_std=fit.std[-6:],
+        offset_change=change,
+        offset_change_std=change_std,
+        rmse=np.sqrt(np.mean(fit.residuals[first:][fit.used[first:]] ** 2, axis=0)),
+        sigma=fit.sigma,
+        used_tool=fit.used[first:],
+        used_bare=fit.used[:first],
+        outliers=(
+            *_outliers(fit, np.arange(first), "bare"),
+            *_outliers(fit, np.arange(first, len(fit.used)), "tool"),
+        ),
+        warnings=tuple(warnings),
+        unresolved=unresolved,
+        mounting=mounting,
+        zeroed=apart,
+    )
+
+
+def _unresolved(fit: Fit, gravity_zero: Array) -> str:
     along = gravity_zero / np.linalg.norm(gravity_zero)
     total = along @ (fit.values[1:4] + fit.values[5:8])
-    unresolved = (
+    return (
         "the first moments of tool and adapter along gravity at the zeroing pose "
         f"(direction in the sensor's frame {np.round(along, 4).tolist()}): only their sum "
         f"{total:.6f} kg.m is known, here all of it is given to the tool; as long as the sensor is "
-        "zeroed there with the adapter alone the compensation is not affected",
-    )
-    return Identification(
-        load=load_estimate(fit, slice(0, 4), "the tool"),
-        adapter=load_estimate(fit, slice(4, 8), "the adapter"),
-        offset=fit.values[8:14],
-        offset_std=np.sqrt(np.diag(fit.covariance)[8:14]),
-        offset_change=None,
-        offset_change_std=None,
-        rmse=_rmse(fit.residuals, fit.used),
-        sigma=fit.sigma,
-        used_tool=fit.used,
-        used_bare=np.zeros(0, dtype=bool),
-        outliers=_outliers(fit, np.arange(len(tool)), "tool"),
-        warnings=(
-            *_noise_warnings(fit, tool.std_of_mean),
-            *_bias_drift_warnings(fit, slice(None), "sweep with the tool"),
-            *unresolved,
-        ),
-        unresolved=unresolved,
+        "zeroed there with the adapter alone the compensation is not affected"
     )
 
 
@@ -337,7 +437,7 @@ def zeroing_fault(tool: StillPoses, gravity_zero: Array) -> str:
         IdentificationError: as `identify_single_load` does.
 
     """
-    fit = fit_robust(single_load_design(tool.gravity), tool.wrench)
+    fit = LoadReadings.of_one_load(tool).of_loads.robust()
     check_rejections(fit)
     size = float(np.linalg.norm(gravity_zero))
     along = gravity_zero / size
@@ -367,115 +467,102 @@ def zeroing_fault(tool: StillPoses, gravity_zero: Array) -> str:
     return ""
 
 
-def identify_one_load(tool: StillPoses) -> Identification:
-    """Identify tool and adapter as one load, with the sensor's own constant offset, from one sweep.
-
-    Raises as `identify_two_sweeps` does.
-    """
-    check_one_sweep(tool)
-    fit = fit_robust(single_load_design(tool.gravity), tool.wrench)
-    check_rejections(fit)
-    used = single_load_design(tool.gravity[fit.used])
-    check_excitation(used, LOAD_PARAMETERS[:4], {"with the tool": tool})
-    return one_load_result(fit, tool)
-
-
-def one_load_result(fit: RobustFit, tool: StillPoses) -> Identification:
-    """Return what a fit found; its values: moments (4), offsets (6), any others last.
-
-    Raises IdentificationError.
-    """
-    return Identification(
-        load=load_estimate(fit, slice(0, 4), "the load"),
-        adapter=LoadEstimate(0.0, np.zeros(3), np.zeros((4, 4))),
-        offset=fit.values[4:10],
-        offset_std=np.sqrt(np.diag(fit.covariance)[4:10]),
-        offset_change=None,
-        offset_change_std=None,
-        rmse=_rmse(fit.residuals, fit.used),
-        sigma=fit.sigma,
-        used_tool=fit.used,
-        used_bare=np.zeros(0, dtype=bool),
-        outliers=_outliers(fit, np.arange(len(tool)), "tool"),
-        warnings=(
-            *_noise_warnings(fit, tool.std_of_mean),
-            *_bias_drift_warnings(fit, slice(None), "sweep with the tool"),
-        ),
-        unresolved=ONE_LOAD,
-        zeroed=False,
-    )
-
-
 def check_planned_poses(
     angles: Array,
+    groups: Sequence[str] = (),
     *,
     one_sweep: bool = False,
     zero_angles: ArrayLike | None = None,
     arm: Arm,
 ) -> None:
-    """Raise NotExcitedError, before the arm moves, where angles (n, k), rad, excite too little."""
-    planned = StillPoses(angles, np.zeros((len(angles), 6)), arm=arm)
-    check_count(planned, "each sweep")
-    rows = gravity_regressor(planned.gravity)
-    if one_sweep:
-        check_excitation(single_load_design(planned.gravity), LOAD_PARAMETERS[:4])
-        return
-    zero = gravity_regressor(arm.gravity_in_sensor(zero_angles))
-    poses = {"in each sweep": planned}
-    check_excitation(two_sweeps_design(rows - zero, rows, zero), LOAD_PARAMETERS, poses)
+    """Raise NotExcitedError, before the arm moves, where the poses don't tell loads or mounting.
 
+    Args:
+        angles: (n, k), rad.
+        groups: of the mounting. The load isn't known yet; one of 100 g, well off every axis,
+            stands for it.
+        one_sweep: there is none without the tool.
+        zero_angles: (k,) where the sensor will be zeroed, rad; None: the arm's home.
+        arm: that moves.
 
-def two_sweeps_design(bare_rows: Array, tool_rows: Array, zero: Array) -> Array:
-    """Columns: tool's moments (4), adapter's (4), offsets of the bare sweep (6), the other (6)."""
-    count = len(bare_rows)
-    design = np.zeros((count + len(tool_rows), 6, 20))
-    design[:count, :, 4:8] = bare_rows
-    design[:count, :, 8:14] = np.eye(6)
-    design[count:, :, :4] = tool_rows
-    design[count:, :, 4:8] = tool_rows - zero
-    design[count:, :, 14:20] = np.eye(6)
-    return design
-
-
-def one_sweep_prior(gravity_zero: Array) -> tuple[Array, Array, Array]:
-    """Return what is known beforehand: rows (1, 14), value (1,) and standard deviation (1,).
-
-    gravity_zero: (3,) in ft_sensor where the sensor was zeroed, m/s^2.
     """
-    row = np.zeros((1, 14))
-    row[0, 5:8] = gravity_zero / np.linalg.norm(gravity_zero)
-    return row, np.zeros(1), np.array([_UNOBSERVED_MOMENT_STD_KGM])
+    planned = StillPoses(np.asarray(angles, dtype=float), np.zeros((len(angles), 6)), arm=arm)
+    check_count(planned, "each sweep")
+    if one_sweep:
+        readings = LoadReadings.of_one_load(planned)
+        check_loads(readings)
+    else:
+        readings = LoadReadings.of_two_sweeps(planned, planned, zero_angles)
+        check_loads(readings, poses={"in each sweep": planned})
+    if groups:
+        model = readings.model(groups)
+        load = np.tile(0.1 * np.array([1.0, 0.05, 0.03, 0.05]), readings.loads // 4)
+        values = np.concatenate([load, np.zeros(len(model.entities))])
+        check_mounting(readings, model, values, np.repeat([1.0, 0.02], 3), None)
 
 
 @dataclass(frozen=True)
 class SingleLoad:
-    """One load and six constant biases from orientations alone (the ten-parameter model)."""
+    """One load and six constant biases (6,) from orientations alone: the ten-parameter model.
+
+    mounting: None unless its parameters were asked for.
+    """
 
     load: LoadEstimate
     offset: Array
     sigma: Array
     used: np.ndarray
+    mounting: Mounting | None = None
 
-    def predict(self, gravity_sensor: ArrayLike) -> Array:
-        """Return readings (..., 6), N and N.m, under gravity (..., 3) in the sensor, m/s^2."""
-        return gravity_regressor(gravity_sensor) @ self.load.load.moments + self.offset
+    def predict(self, gravity_sensor: ArrayLike, base_from_sensor: Array | None = None) -> Array:
+        """Return readings (..., 6), N and N.m.
+
+        Args:
+            gravity_sensor: (..., 3) in the sensor's frame of a level base, m/s^2.
+            base_from_sensor: R_base_sensor (..., 3, 3), which an inclination of the base needs.
+
+        """
+        gravity = np.asarray(gravity_sensor, dtype=float)
+        if self.mounting is None:
+            return gravity_regressor(gravity) @ self.load.load.moments + self.offset
+        if base_from_sensor is not None:
+            gravity = self.mounting.turned_gravity(gravity, base_from_sensor)
+        weight = gravity_regressor(gravity) @ self.load.load.moments
+        return weight @ self.mounting.reading_from_wrench.T + self.offset
 
 
-def identify_single_load(gravity_sensor: ArrayLike, wrench: ArrayLike) -> SingleLoad:
-    """Mass, centre and six biases, robust to outliers, from gravity (n, 3) and readings (n, 6).
+def identify_single_load(
+    gravity_sensor: ArrayLike,
+    wrench: ArrayLike,
+    groups: Sequence[str] = (),
+    base_from_sensor: Array | None = None,
+    known: KnownLoad | None = None,
+    *,
+    arm: Arm,
+) -> SingleLoad:
+    """Identify mass, centre and six biases, robust to outliers, from orientations.
 
-    Raises as `identify_two_sweeps` does.
+    Args:
+        gravity_sensor: (n, 3) in the sensor's frame of a level base, m/s^2.
+        wrench: (n, 6), N and N.m.
+        groups: of the mounting, to be found as well.
+        base_from_sensor: R_base_sensor (n, 3, 3), which an inclination of the base needs.
+        known: of all that hangs on the sensor.
+        arm: whose sensor it is.
+
+    Raises:
+        NotExcitedError, IdentificationError: as `identify_two_sweeps` does.
+
     """
-    gravity, reading = np.asarray(gravity_sensor, dtype=float), np.asarray(wrench, dtype=float)
-    if len(gravity) < MIN_POSES:
-        raise IdentificationError(f"{len(gravity)} still poses; at least {MIN_POSES} are needed")
-    design = single_load_design(gravity)
-    check_excitation(design, LOAD_PARAMETERS[:4])
-    fit = fit_robust(design, reading)
-    check_rejections(fit)
-    check_excitation(design[fit.used], LOAD_PARAMETERS[:4])
-    load = load_estimate(fit, slice(0, 4), "the load")
-    return SingleLoad(load, fit.values[4:], fit.sigma, fit.used)
+    readings = LoadReadings.of_orientations(gravity_sensor, wrench, base_from_sensor, arm=arm)
+    if len(readings) < MIN_POSES:
+        raise IdentificationError(f"{len(readings)} still poses; at least {MIN_POSES} are needed")
+    if known is not None:
+        readings = replace(readings, known=known.of_moments(4))
+    check_loads(readings)
+    fit, mounting = fit_robust(readings, groups)
+    load = load_estimate(fit.values, fit.covariance, "the load")
+    return SingleLoad(load, fit.values[-6:], fit.sigma, fit.used, mounting if groups else None)
 
 
 def plain_least_squares(gravity_sensor: ArrayLike, wrench: ArrayLike) -> tuple[Array, Array]:
@@ -489,14 +576,6 @@ def plain_least_squares(gravity_sensor: ArrayLike, wrench: ArrayLike) -> tuple[A
         design.reshape(-1, 10), np.asarray(wrench, dtype=float).reshape(-1), rcond=None
     )[0]
     return solution[:4], solution[4:]
-
-
-def single_load_design(gravity: Array) -> Array:
-    """Columns (n, 6, 10): one load's moments (4) and six offsets, from gravity (n, 3), m/s^2."""
-    design = np.zeros((len(gravity), 6, 10))
-    design[:, :, :4] = gravity_regressor(gravity)
-    design[:, :, 4:] = np.eye(6)
-    return design
 
 
 def check_count(poses: StillPoses, name: str) -> None:
@@ -531,7 +610,7 @@ def check_channels(rows: Array, poses: StillPoses, name: str) -> None:
             )
 
 
-def check_rejections(fit: RobustFit) -> None:
+def check_rejections(fit: Fit) -> None:
     """Raise IdentificationError where too many poses fit no common load."""
     rejected = int(np.sum(~fit.used))
     if rejected > _MAX_REJECTED_FRACTION * len(fit.used):
@@ -541,12 +620,21 @@ def check_rejections(fit: RobustFit) -> None:
         )
 
 
-def load_estimate(fit: RobustFit, columns: slice, name: str) -> LoadEstimate:
+def load_estimate(values: Array, covariance: Array, name: str, first: int = 0) -> LoadEstimate:
     """Mass and centre from the moments; covariance by p = h / m, dp = (dh - p dm) / m.
 
-    Raises IdentificationError calling the load `name`.
+    Args:
+        values: (p,), four of which, from `first` on, are the moments.
+        covariance: (p, p).
+        name: of the load, for the error's text.
+        first: see values.
+
+    Raises:
+        IdentificationError: for a mass that is not positive beyond its standard deviation.
+
     """
-    moments, covariance = fit.values[columns], fit.covariance[columns, columns]
+    columns = slice(first, first + 4)
+    moments, covariance = values[columns], covariance[columns, columns]
     mass, std = float(moments[0]), float(np.sqrt(covariance[0, 0]))
     if mass <= 0.0:
         raise IdentificationError(
@@ -566,19 +654,15 @@ def load_estimate(fit: RobustFit, columns: slice, name: str) -> LoadEstimate:
     return LoadEstimate(mass, com, jacobian @ covariance @ jacobian.T)
 
 
-def _rmse(residuals: Array, used: np.ndarray) -> Array:
-    return np.asarray(np.sqrt(np.mean(residuals[used] ** 2, axis=0)))
+def _joined_std(tool: StillPoses, bare: StillPoses | None) -> Array | None:
+    if bare is None or tool.std_of_mean is None:
+        return tool.std_of_mean
+    if bare.std_of_mean is None:
+        return None
+    return np.concatenate([bare.std_of_mean, tool.std_of_mean])
 
 
-def _joined_std(*sweeps: StillPoses) -> Array | None:
-    parts = [sweep.std_of_mean for sweep in sweeps]
-    known = [part for part in parts if part is not None]
-    return np.concatenate(known) if len(known) == len(parts) else None
-
-
-def _outliers(
-    fit: RobustFit, indices: np.ndarray, sweep: str
-) -> tuple[tuple[str, int, float], ...]:
+def _outliers(fit: Fit, indices: np.ndarray, sweep: str) -> tuple[tuple[str, int, float], ...]:
     return tuple(
         (sweep, pose, float(fit.distance[index]))
         for pose, index in enumerate(indices)
@@ -586,7 +670,7 @@ def _outliers(
     )
 
 
-def _noise_warnings(fit: RobustFit, std_of_mean: Array | None) -> list[str]:
+def _noise_warnings(fit: Fit, std_of_mean: Array | None) -> list[str]:
     """Tell when the residual is larger than what the scatter within the poses explains."""
     if std_of_mean is None:
         return []
@@ -613,7 +697,7 @@ def _drift_warnings(change: Array, std: Array, sigma: Array) -> list[str]:
     ]
 
 
-def _bias_drift_warnings(fit: RobustFit, sweep: slice, name: str) -> list[str]:
+def _bias_drift_warnings(fit: Fit, sweep: slice, name: str) -> list[str]:
     """Tell when a sweep's residual goes up or down over its poses, taken as in visiting order.
 
     Where the order goes with a joint, a drift looks in part like a load, and the parameters

@@ -1,7 +1,7 @@
 """Order of a sweep's poses in which a drift of the sensor costs little, and what it costs.
 
 A reading that drifts while the poses are visited is y_i = G(u_i) x + c + b(t_i) + noise, u gravity
-in the sensor. With the curve b fitted (`galen_model.load.drifting_bias`) the load's covariance
+in the sensor. With the curve b fitted (`galen_model.estimation.curves`) the load's covariance
 depends on the poses and their times alone. **The price of a drift** is the ratio of the standard
 deviations of the mass and of the first moments with the curves fitted to those with a constant
 bias, the largest of the four:
@@ -39,7 +39,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from galen_model.arrays import Array
-from galen_model.load.drifting_bias import BiasBasis, BiasShape
+from galen_model.estimation.curves import BiasBasis, BiasShape
 from galen_model.load.model import gravity_regressor
 
 PRICE_LIMIT = 1.2

@@ -1,13 +1,13 @@
-"""Readings of still poses as a function of loads, offsets and mounting, with the Jacobian.
+"""Readings of still poses as a function of loads and mounting, with the Jacobian.
 
-    h_i = M [G(u_i) x_i - G(u_0) x_adapter] + o,   x_i: what hangs on the sensor at pose i
+    h_i = M [G(u_i) x_i - G(u_0) x_adapter],   x_i: what hangs on the sensor at pose i
 
-(see `galen_model.load.mounting` for M and u, `galen_model.load.model` for G and x = (m,
-h)). The columns of the Jacobian: M G(u) by x, 1 by o; by a gain the element's own reading e = M w
-/ (1 + g); by the rotation vector diag(1 + g) [e_f^ ; e_t^] J_r, since S(rho + d)^T w = exp(-(J_r
-d)^) S^T w with the right Jacobian J_r of the rotation group (Sola, Deray, Atchuthan, *A micro Lie
-theory*, 2018, eq. 143); by angles M [m 1 ; h^] du, with du/dq_k = u x (R^T a_k),
-a_k the axis of joint k in the base's frame, and du/da = g R^T dd/da.
+beside the sensor's bias (see `galen_model.load.mounting` for M and u, `galen_model.load.model` for
+G and x = (m, h)). The columns of the Jacobian: M G(u) by x; by a gain the element's own reading e =
+M w / (1 + g); by the rotation vector diag(1 + g) [e_f^ ; e_t^] J_r, since S(rho + d)^T w =
+exp(-(J_r d)^) S^T w with the right Jacobian J_r of the rotation group (Sola, Deray, Atchuthan, *A
+micro Lie theory*, 2018, eq. 143); by angles M [m 1 ; h^] du, with du/dq_k = u x (R^T a_k), a_k the
+axis of joint k in the base's frame, and du/da = g R^T dd/da.
 """
 
 from collections.abc import Sequence
@@ -91,22 +91,24 @@ def _by_inclination(rotation: Array, mounting: Mounting, level: Array) -> Array:
 
 @dataclass(frozen=True)
 class MountedSweep:
-    """Poses with the same on the sensor: which values are its tool, its adapter, its offset."""
+    """Poses with the same on the sensor: which values are its tool and its adapter."""
 
     poses: Poses
     tool: slice | None
     adapter: slice | None
-    offset: slice
 
 
 @dataclass(frozen=True)
 class ReadingModel:
-    """Sweeps, where the sensor was zeroed, and the mounting's directions after `linear` values."""
+    """Sweeps, where the sensor was zeroed, and the mounting's directions after the loads' moments.
+
+    loads: how many moments, 4 or 8.
+    """
 
     sweeps: Sequence[MountedSweep]
     zero: JointPoses
     entities: Sequence[Entity]
-    linear: int
+    loads: int
 
     @property
     def _joints(self) -> tuple[str, ...]:
@@ -121,16 +123,20 @@ class ReadingModel:
     def mounting(
         self, values: Array, estimated: tuple[str, ...] = (), covariance: Array | None = None
     ) -> Mounting:
-        """Return the mounting of values (p,), with their covariance (p, p) where given."""
-        basis, linear = self.basis, self.linear
+        """Return the mounting of values (p, ...), with their covariance where given."""
+        basis = self.basis
+        mounted = slice(self.loads, self.loads + len(self.entities))
         if covariance is not None:
-            covariance = basis @ covariance[linear:, linear:] @ basis.T
+            covariance = basis @ covariance[mounted, mounted] @ basis.T
         return Mounting.from_vector(
-            basis @ values[linear:], estimated, covariance, joints=self._joints
+            basis @ values[mounted], estimated, covariance, joints=self._joints
         )
 
     def evaluate(self, values: Array) -> tuple[Array, Array]:
-        """Return readings (n, 6) of all sweeps and their Jacobian (n, 6, p) by the values (p,)."""
+        """Return readings (n, 6) of all sweeps and their Jacobian (n, 6, p) by the values (p,).
+
+        The values: the loads' moments, then the mounting's along `entities`.
+        """
         parts = [self._sweep(sweep, values) for sweep in self.sweeps]
         return np.concatenate([h for h, _ in parts]), np.concatenate([jac for _, jac in parts])
 
@@ -156,11 +162,10 @@ class ReadingModel:
             by_angles -= _by_gravity(adapter) @ du_zero
         wrench += regressor @ moments
         by_angles += _by_gravity(moments) @ du
-        jacobian[:, :, sweep.offset] = np.eye(6)
         if self.entities:
             by_mounting = _by_mounting(mounting, wrench @ by_wrench.T, by_wrench @ by_angles)
-            jacobian[:, :, self.linear :] = by_mounting @ self.basis
-        return wrench @ by_wrench.T + values[sweep.offset], jacobian
+            jacobian[:, :, self.loads :] = by_mounting @ self.basis
+        return wrench @ by_wrench.T, jacobian
 
 
 def _by_gravity(moments: Array) -> Array:

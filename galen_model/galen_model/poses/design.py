@@ -34,8 +34,8 @@ from galen_model.arm.arm import Arm
 from galen_model.arm.galen import SENSOR
 from galen_model.arrays import Array, evenly_spread
 from galen_model.errors import GalenError
-from galen_model.load.identification import single_load_design
 from galen_model.load.model import gravity_regressor
+from galen_model.load.readings import single_load_design
 
 _WORKSPACE_STEPS = 25
 MOST_GRID_JOINTS = 2  # a grid of more angles has too many poses

@@ -8,7 +8,7 @@ import numpy as np
 
 from galen_model.arm.arm import Arm
 from galen_model.arrays import Array
-from galen_model.load.identification import StillPoses
+from galen_model.load.readings import StillPoses
 from galen_model.rotation import skew
 
 FARTHEST_CENTRE_M = 1.0

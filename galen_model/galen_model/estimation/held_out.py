@@ -1,0 +1,145 @@
+"""Held-out blocks: how well a problem predicts readings that it has not seen.
+
+**Score.** Blocks of readings that follow each other in time are held out in turn, and each held-out
+reading has a log density under the fit to the rest: a block inside a sweep is bridged by the curve
+between its neighbours, a block at an end is reached by extrapolation (a walk stays where it was, a
+straight line and a smooth curve go on). It is that of Student's t, because sigma is estimated; it
+is a proper score (Gneiting and Raftery, *J. Am. Stat. Assoc.* 102, 2007), so that it shows whether
+the stated errors are true as well as whether the predictions are near, which a mean square alone
+doesn't. A block counts by the mean over its readings, each on its own: their joint density would
+ask how readings of one moment follow each other, such as creep within a stop, and not how well the
+gap is bridged, on which the parameters hang.
+
+**Comparison.** The difference of two models' scores is taken block by block, so that what a block
+has in common for both drops out; the blocks are few and independent, so that the mean's standard
+error comes from their scatter.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from galen_model.arrays import Array
+from galen_model.distributions import student_t_logpdf
+from galen_model.errors import IdentificationError
+from galen_model.estimation.problem import PRIOR_READINGS, Problem
+
+CLEAR_SIGMAS = 2.0
+"""Standard errors beyond which a gain is more than chance."""
+
+FEWEST_BLOCKS = 5  # four say too little of chance
+_LEAST_GAIN, _BEST_OF_MANY_SIGMAS = 0.1, 3.0
+"""Log density per block, and standard errors of it, that more than chance needs.
+
+Several candidates are compared, so that two standard errors are often chance.
+"""
+_TOLERANCE = 1e-2  # of sigma: a prediction's density needs no more
+
+
+class BlockGain(NamedTuple):
+    """Mean gain of one model over another on held-out blocks, and its standard error."""
+
+    mean: float
+    std: float
+
+    @property
+    def clear(self) -> bool:
+        """Whether the model is better beyond chance."""
+        return self.mean > CLEAR_SIGMAS * self.std
+
+    @property
+    def clear_loss(self) -> bool:
+        """Whether the model is worse beyond chance."""
+        return self.mean < -CLEAR_SIGMAS * self.std
+
+
+def block_gain(better_by: ArrayLike) -> BlockGain:
+    """Judge the differences of two models' scores on held-out blocks.
+
+    Args:
+        better_by: (blocks,) at least two, by how much the model is better on each.
+
+    """
+    gains = np.asarray(better_by, dtype=float)
+    return BlockGain(float(gains.mean()), float(gains.std(ddof=1) / np.sqrt(len(gains))))
+
+
+def is_clear_gain(gains: Array) -> bool:
+    """Whether gains (blocks,) in log density of the best of several models are beyond chance."""
+    gains = gains[np.isfinite(gains)]
+    if len(gains) < FEWEST_BLOCKS:
+        return False
+    # a block in which a curve gains far more would, by the scatter, speak against the curve
+    mean, std = block_gain(np.minimum(gains, 2.0 * np.median(gains)))
+    return mean > _LEAST_GAIN + _BEST_OF_MANY_SIGMAS * std
+
+
+def is_clear_loss(gains: Array) -> bool:
+    """Whether gains (blocks,) in log density are losses beyond chance."""
+    gains = gains[np.isfinite(gains)]
+    return len(gains) >= FEWEST_BLOCKS and block_gain(gains).clear_loss
+
+
+def time_blocks(time_s: Array, segment: np.ndarray, blocks: int) -> np.ndarray:
+    """Labels (n,) of `blocks` runs of readings that follow each other, none across two sweeps."""
+    order = np.lexsort((time_s, segment))
+    labels = np.empty(len(time_s), dtype=int)
+    first = 0
+    counts = np.bincount(segment)
+    for count in counts:
+        share = max(1, round(blocks * count / len(time_s)))
+        share = min(share, count)
+        labels[order[first : first + count]] = first + np.arange(count) * share // count
+        first += count
+    return np.unique(labels, return_inverse=True)[1]
+
+
+def held_out(
+    problem: Problem, used: np.ndarray, groups: np.ndarray, *, equal: bool = False
+) -> tuple[Array, Array]:
+    """Hold out each block in turn.
+
+    Args:
+        problem: n readings of c channels.
+        used: (n,) readings that may be fitted.
+        groups: (n,) labels of blocks; one below zero is not held out.
+        equal: all channels weigh alike, as in plain least squares, and there is no density.
+
+    Returns:
+        Residuals (n, c) and log densities (n, c); NaN where the rest leaves a parameter open.
+
+    """
+    residuals = np.full(problem.readings.shape, np.nan)
+    density = residuals.copy()
+    try:
+        sigma = problem.solve(used).settle(_TOLERANCE).sigma
+    except IdentificationError:
+        return residuals, density
+    for label in np.unique(groups[groups >= 0]):
+        held = groups == label
+        try:
+            equations = problem.solve(used & ~held)
+            if equal:
+                values, _ = equations.values(np.ones(len(sigma)))
+                residuals[held] = equations.residuals(values)[held]
+                continue
+            found = equations.settle(_TOLERANCE, sigma)
+        except IdentificationError:
+            continue
+        variance = 1.0 + equations.leverage(found.covariance, found.sigma)[held]
+        residuals[held] = equations.residuals(found.values)[held]
+        density[held] = student_t_logpdf(
+            residuals[held], found.freedom + PRIOR_READINGS, found.sigma * np.sqrt(variance)
+        )
+    return residuals, density
+
+
+def block_means(density: Array, used: np.ndarray, groups: np.ndarray) -> Array:
+    """Mean log density (blocks, c) of each block's readings that are used."""
+    return np.array(
+        [
+            np.mean(density[used & (groups == label)], axis=0)
+            for label in np.unique(groups[used & (groups >= 0)])
+        ]
+    )
