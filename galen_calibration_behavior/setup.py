@@ -1,7 +1,6 @@
 from setuptools import find_packages, setup
 
 package_name = "galen_calibration_behavior"
-run = f"galen_ros.executable:{package_name}"
 
 setup(
     name=package_name,
@@ -20,10 +19,10 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            f"calibration_node = {run}.node.main",
-            f"calibrate = {run}.calibrate.main",
-            f"check = {run}.check.main",
-            f"calibrate_from_bag = {run}.calibrate_from_bag.main",
+            "calibration_node = galen_calibration_behavior.executables:calibration_node",
+            "calibrate = galen_calibration_behavior.executables:calibrate",
+            "check = galen_calibration_behavior.executables:check",
+            "calibrate_from_bag = galen_calibration_behavior.executables:calibrate_from_bag",
         ]
     },
 )

@@ -27,6 +27,7 @@ ROS = {
     "galen_deflection.collection.node",
     "galen_deflection.collection.recorder",
     "galen_deflection.node",
+    "galen_gravcomp.active_tool",
     "galen_gravcomp.node",
     "galen_gravcomp.tool_services",
     "galen_panel.ros",

@@ -13,12 +13,11 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import rclpy
 from galen_model.arm.galen import SENSOR
 from galen_model.arrays import Array
 from galen_model.errors import CalibrationFileError, GalenError, ToolNameError
@@ -44,7 +43,6 @@ from galen_model.load.frames import (
     sensor_in_frame,
 )
 from galen_ros.messages import LATCHED
-from galen_ros.node.spin import init_ros
 from galen_ros.rclpy_workarounds import BackgroundJobs, DeferredService, Respond
 from geometry_msgs.msg import Wrench
 from rclpy.node import Node
@@ -58,7 +56,7 @@ _MOST_POSES = 65535
 """A uint16 of the message; the file may hold any number."""
 _FILE_CHECK_S = 2.0
 # The message's constant, its name in `tools active`, and the note on /diagnostics.
-_FILE_STATES = {
+FILE_STATES = {
     FileState.AS_LOADED: (ActiveTool.FILE_AS_LOADED, "as loaded", ""),
     FileState.CHANGED: (
         ActiveTool.FILE_CHANGED,
@@ -169,7 +167,7 @@ class ActiveToolTopic:
 
     def _set_file_state(self, state: FileState) -> None:
         self._file_state = state
-        self._on_note(_FILE_STATES[state][2])
+        self._on_note(FILE_STATES[state][2])
 
     def _message(self, bias_drift: Array | None) -> ActiveTool:
         offset = self._compensator.tare_offset
@@ -194,7 +192,7 @@ class ActiveToolTopic:
         message.calibrated_at = tool.calibrated_at
         message.path = str(self.stored.path)
         message.sha256 = self.stored.sha256
-        message.file_state = _FILE_STATES[self._file_state][0]
+        message.file_state = FILE_STATES[self._file_state][0]
         return message
 
 
@@ -203,38 +201,6 @@ def _wrench(values: Array) -> Wrench:
     force, torque = message.force, message.torque
     force.x, force.y, force.z, torque.x, torque.y, torque.z = (float(value) for value in values)
     return message
-
-
-def read_active(node_name: str, timeout_s: float, ros_args: Sequence[str] = ()) -> dict[str, Any]:
-    """Read what a node has active, by the fields of its latched topic. Raises GalenError."""
-    init_ros(list(ros_args))
-    try:
-        node = Node("tools")
-        received: list[ActiveTool] = []
-        topic = f"{node_name}/active_tool"
-        node.create_subscription(ActiveTool, topic, received.append, LATCHED)
-        deadline = time.monotonic() + timeout_s
-        while not received:
-            if time.monotonic() > deadline:
-                raise GalenError(
-                    f"nothing came on {node.resolve_topic_name(topic)} within {timeout_s:g} s: is"
-                    " gravcomp_node running?"
-                )
-            rclpy.spin_once(node, timeout_sec=0.1)
-        node.destroy_node()
-    finally:
-        rclpy.try_shutdown()
-    found: dict[str, Any] = _plain(received[-1])
-    states = {number: name for number, name, _ in _FILE_STATES.values()}
-    found["frame"] = found.pop("header")["frame_id"]
-    found["file_state"] = states.get(found["file_state"], "none")
-    return found
-
-
-def _plain(value: Any) -> Any:
-    if hasattr(value, "get_fields_and_field_types"):
-        return {name: _plain(getattr(value, name)) for name in value.get_fields_and_field_types()}
-    return value if isinstance(value, (bool, int, float, str)) else np.asarray(value).tolist()
 
 
 class ToolServices:

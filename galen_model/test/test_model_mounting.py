@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio
 import pytest
-from galen_model.arm.description import PinocchioArm, read_arm
+from galen_model.arm.description import read_arm
 from galen_model.arm.galen import GALEN
 from galen_model.errors import IdentificationError, NotExcitedError
 from galen_model.evidence.block_gain import MOUNTED, ROBUST
@@ -33,6 +33,8 @@ from galen_model.load.mounting_identification import (
 from galen_model.load.reading_model import JointPoses, MountedSweep, ReadingModel
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
+
+from galen_validation.pinocchio_arm import PinocchioArm
 
 SIGMA = np.array([0.02, 0.02, 0.03, 4e-4, 4e-4, 4e-4]) / np.sqrt(125)
 DEG = np.pi / 180.0

@@ -1,7 +1,7 @@
 """The start and end that all executables share: SIGINT ends them without a traceback.
 
-An entry point has this module in front of its function's path, so that the signal is handled before
-the imports, which take seconds: `tools = galen_ros.executable:galen_gravcomp.tools.main`.
+A package names its executables in `executables.py`, which imports nothing else: the signal is
+handled before the imports, which take seconds.
 """
 
 from __future__ import annotations
@@ -75,14 +75,11 @@ def interrupted() -> None:
     _interrupts.note()
 
 
-class _Path:
-    """A function of an executable by its full name, imported when it is called."""
+class Executable:
+    """A module's `main`, imported when it is called; the entry point of an executable."""
 
-    def __init__(self, name: str) -> None:
-        self._name = name
-
-    def __getattr__(self, name: str) -> _Path:
-        return _Path(f"{self._name}.{name}")
+    def __init__(self, module: str) -> None:
+        self.module = module
 
     def __call__(self) -> object:
         """Run the executable; returns its exit code."""
@@ -92,19 +89,13 @@ class _Path:
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         # Called last: what is left is the interpreter's end, which would drop a handler in Python.
         atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)
-        module, _, function = self._name.rpartition(".")
-        main = getattr(importlib.import_module(module), function)
+        main = importlib.import_module(self.module).main
         try:
             _interrupts.phase = "working"
-            return main()
+            code: object = main()
+            return code
         except KeyboardInterrupt:
             return EXIT_INTERRUPTED
         finally:
             _interrupts.phase = "ending"
             _interrupts.take()
-
-
-def __getattr__(name: str) -> _Path:
-    if name.startswith("_"):  # the import system's questions
-        raise AttributeError(name)
-    return _Path(name)

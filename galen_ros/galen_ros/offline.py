@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import sys
 
-from galen_ros import executable
+from galen_ros.executable import Executable
 
 COMMANDS = {
     "evaluate": ("galen_gravcomp.evaluate.command", "score a calibration on recordings or tables"),
@@ -46,7 +46,7 @@ def main() -> object:
     name = names[0]
     sys.argv[:2] = [f"galen {name}"]
     try:
-        return getattr(executable, f"{COMMANDS[name][0]}.main")()
+        return Executable(COMMANDS[name][0])()
     except ModuleNotFoundError as error:
         package = (error.name or "").partition(".")[0]
         if package not in _EXTRAS:

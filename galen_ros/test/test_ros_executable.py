@@ -8,8 +8,8 @@ import pytest
 _PROGRAM = """
 import os, signal, sys, time
 sys.path.insert(0, sys.argv[1])
-from galen_ros.executable import work
-sys.exit(work.main())
+from galen_ros.executable import Executable
+sys.exit(Executable("work")())
 """
 
 _WORK = """

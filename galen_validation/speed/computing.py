@@ -25,7 +25,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio
 from galen_deflection.models.spring_model import SpringStream
-from galen_model.arm.description import PinocchioArm, read_arm
+from galen_model.arm.description import read_arm
 from galen_model.arm.galen import GALEN, SENSOR
 from galen_model.arrays import Array
 from galen_model.calibrated.prediction import Prediction
@@ -34,6 +34,7 @@ from galen_model.load.model import gravity_regressor
 from rich.table import Table
 
 from galen_validation.nominal import bench_models, bench_tool
+from galen_validation.pinocchio_arm import PinocchioArm
 
 TITLE = "computing"
 

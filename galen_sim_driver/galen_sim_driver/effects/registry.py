@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import fields, replace
 from typing import Any
 
@@ -108,17 +108,10 @@ def identity_of(name: str, parameters: Mapping[str, Any]) -> str:
 def contract_parameters(effect: Effect) -> dict[str, Any]:
     """Return the effect's numbers under the contract's names, as JSON has them."""
     own = [f.name for f in fields(effect) if "param" in f.metadata]
-    return _named(effect, [name for name in own if name not in effect.beyond_contract])
-
-
-def extra_parameters(effect: Effect) -> dict[str, Any]:
-    """Return the numbers that the contract doesn't name, as JSON has them."""
-    return _named(effect, effect.beyond_contract)
-
-
-def _named(effect: Effect, of: Iterable[str]) -> dict[str, Any]:
     named: dict[str, Any] = {}
-    for field in of:
+    for field in own:
+        if field in effect.beyond_contract:
+            continue
         value = getattr(effect, field)
         group, _, entry = effect.contract_names.get(field, field).partition(".")
         if not entry:

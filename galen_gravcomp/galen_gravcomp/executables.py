@@ -1,0 +1,7 @@
+"""The executables; each imports its module when it starts."""
+
+from galen_ros.executable import Executable
+
+gravcomp_node = Executable("galen_gravcomp.node")
+evaluate = Executable("galen_gravcomp.evaluate.command")
+tools = Executable("galen_gravcomp.tools")
