@@ -41,7 +41,7 @@ from galen_calibration_behavior.common.commands import (
     ZeroSensor,
 )
 from galen_calibration_behavior.common.parameters import CalibrationParameters
-from galen_calibration_behavior.common.sweep import Sweep, Verdict, still_poses
+from galen_calibration_behavior.common.sweep import PoseOutcome, Sweep, still_poses
 
 # A topic's queue holds no more than this of stamps: 2000 samples at 500 Hz.
 _DEEPEST_QUEUE_S = 4.0
@@ -399,7 +399,7 @@ class CalibrationProcedure(PoseProcedure):
             )
         )
 
-    def _report_pose(self, verdict: Verdict) -> None:
+    def _report_pose(self, verdict: PoseOutcome) -> None:
         assert self._sweep is not None
         done, total = self.progress
         wrench: tuple[float, ...] = (float("nan"),) * 6

@@ -35,7 +35,7 @@ from galen_calibration_behavior.common.commands import (
     PosesEnd,
 )
 from galen_calibration_behavior.common.parameters import CalibrationParameters
-from galen_calibration_behavior.common.sweep import Sweep, Verdict
+from galen_calibration_behavior.common.sweep import PoseOutcome, Sweep
 
 _GRID_STEPS = 5
 # Of the best information: enough to see a change, for a smaller motion than a calibration's.
@@ -160,7 +160,7 @@ class CheckProcedure(PoseProcedure):
         done, total = self.progress
         self._commands.append(PoseFeedback(self._state, message, done=done, total=total))
 
-    def _report_pose(self, verdict: Verdict) -> None:
+    def _report_pose(self, verdict: PoseOutcome) -> None:
         done, total = self.progress
         where = f"pose {verdict.index + 1}"
         self._commands.append(
