@@ -27,11 +27,11 @@ import fsspec
 import numpy as np
 import psutil
 from galen_bags.formats.writer import BagWriter
+from galen_common.cdr import joint_state_bytes, wrench_bytes
 from galen_gravcomp.evaluate.bag import BagJob
 from galen_gravcomp.evaluate.bag_report import to_row
 from galen_model.arm.galen import SENSOR
 from galen_model.files.calibration_file import CalibrationFile, write_calibration
-from galen_ros.cdr import joint_state_bytes, wrench_bytes
 from pyarrow import parquet
 
 from galen_validation.nominal import bench_tool

@@ -16,9 +16,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from galen_diagnosis.answer.answer import NONE
-from galen_model.errors import GalenError
-from galen_ros.command import (
+from galen_common.command import (
     EXIT_OK,
     add_json,
     check_parent,
@@ -27,6 +25,8 @@ from galen_ros.command import (
     terminal,
     whole,
 )
+from galen_diagnosis.answer.answer import NONE
+from galen_model.errors import GalenError
 from rich.markdown import Markdown
 
 from galen_validation.blind import blind_protocol, confine

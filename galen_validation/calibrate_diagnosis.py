@@ -22,13 +22,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from galen_common.command import EXIT_OK, run_command
 from galen_diagnosis.answer.answer import NONE
 from galen_diagnosis.inference.diagnosing import explore
 from galen_diagnosis.inference.posterior import Probabilities, Scored, Settings, posterior
 from galen_diagnosis.observation.recording import read_recording
 from galen_model.errors import GalenError
 from galen_model.files.atomic_file import write_whole
-from galen_ros.command import EXIT_OK, run_command
 from scipy.optimize import minimize
 from tqdm import tqdm
 

@@ -30,9 +30,9 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from galen_bringup.processes import Processes, ros_arguments, ros_world
+from galen_common.cdr import NS_PER_S, STAMP_AT
 from galen_model.arm.galen import GALEN
 from galen_model.files.atomic_file import write_whole
-from galen_ros.cdr import NS_PER_S, STAMP_AT
 from galen_ros.messages import STREAM
 from galen_ros.node.diagnostics import Level
 from galen_ros.node.spin import make_executor

@@ -35,16 +35,16 @@ ROS = {
     "galen_ros.messages",
     "galen_ros.node",
     "galen_ros.rclpy_workarounds",
-    "galen_ros.stream",
     "galen_sim_driver.node",
 }
 ROS_ROOTS = {"rclpy", "rcl_interfaces", "ament_index_python", "launch", "launch_ros", "std_srvs"}
 
-_SHARED = {"galen_model", "galen_msgs", "galen_ros", "galen_bags"}
+_SHARED = {"galen_model", "galen_common", "galen_msgs", "galen_ros", "galen_bags"}
 MAY_IMPORT = {
     "galen_model": set(),
-    "galen_ros": {"galen_model", "galen_msgs"},
-    "galen_bags": {"galen_model", "galen_msgs", "galen_ros"},
+    "galen_common": {"galen_model"},
+    "galen_ros": {"galen_model", "galen_common", "galen_msgs"},
+    "galen_bags": _SHARED,
     "galen_sim_driver": _SHARED,
     "galen_gravcomp": _SHARED,
     "galen_calibration_behavior": _SHARED,

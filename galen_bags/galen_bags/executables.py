@@ -1,6 +1,6 @@
 """The executables; each imports its module when it starts."""
 
-from galen_ros.executable import Executable
+from galen_common.executable import Executable
 
 convert = Executable("galen_bags.convert")
 record = Executable("galen_bags.record")

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from galen_ros.command import (
+from galen_common.command import (
     EXIT_OK,
     EXIT_SIGNAL,
     ProgressLine,

@@ -10,7 +10,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from galen_ros.command import (
+from galen_common.command import (
     EXIT_OK,
     ProgressLine,
     add_json,

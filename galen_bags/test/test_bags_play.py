@@ -16,7 +16,7 @@ from galen_bags.play import main
 from galen_bags.player import PlayerNode, PlayOptions
 from galen_bags.recorder import RecorderNode
 from galen_bags.topics import definition_of, to_bag
-from galen_ros.cdr import wrench_bytes
+from galen_common.cdr import wrench_bytes
 from galen_ros.messages import LATCHED, STREAM
 from galen_ros.node.testing import Harness
 from geometry_msgs.msg import WrenchStamped

@@ -17,7 +17,7 @@ from galen_bags.formats.errors import BagError
 from galen_bags.formats.writer import GrowingBagWriter
 from galen_bags.record import RecordRun, parse
 from galen_bags.recorder import RecorderNode, SimulatedTimes
-from galen_ros.cdr import joint_state_bytes, wrench_bytes
+from galen_common.cdr import joint_state_bytes, wrench_bytes
 from galen_ros.messages import LATCHED, STREAM
 from galen_ros.node.diagnostics import Level
 from galen_ros.node.testing import Harness
@@ -360,7 +360,7 @@ def test_diagnostics_tell_what_is_missing(harness: Harness, bag: GrowingBagWrite
 SOURCE = """
 import sys
 import rclpy
-from galen_ros.cdr import wrench_bytes
+from galen_common.cdr import wrench_bytes
 from galen_ros.messages import STREAM
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node

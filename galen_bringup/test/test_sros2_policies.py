@@ -14,6 +14,7 @@ from galen_bags.recorder import RecorderNode
 from galen_calibration_behavior.calibrate import CalibrateClient
 from galen_calibration_behavior.check import CheckClient
 from galen_calibration_behavior.node import CalibrationNode
+from galen_common.goal.procedure import PoseProcedure
 from galen_deflection.collection import node as collection_node
 from galen_deflection.collection.command import CollectClient
 from galen_deflection.collection.node import CollectionNode
@@ -21,7 +22,6 @@ from galen_deflection.collection.procedure import CollectionProcedure
 from galen_deflection.node import DeflectionNode
 from galen_gravcomp.node import GravcompNode
 from galen_panel.ros.suite import RosSuite
-from galen_ros.goal.procedure import PoseProcedure
 from galen_ros.node.testing import Harness, parameters
 from galen_sim_driver.node import SimDriverNode
 from rclpy.node import Node

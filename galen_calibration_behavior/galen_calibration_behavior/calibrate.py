@@ -10,7 +10,7 @@ import sys
 import termios
 from typing import Any
 
-from galen_ros.command import EXIT_OK, finite, make_parser, own_arguments, whole
+from galen_common.command import EXIT_OK, finite, make_parser, own_arguments, whole
 from galen_ros.goal.client import (
     GoalClient,
     add_client_options,

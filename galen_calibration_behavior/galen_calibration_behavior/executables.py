@@ -1,6 +1,6 @@
 """The executables; each imports its module when it starts."""
 
-from galen_ros.executable import Executable
+from galen_common.executable import Executable
 
 calibration_node = Executable("galen_calibration_behavior.node")
 calibrate = Executable("galen_calibration_behavior.calibrate")

@@ -13,7 +13,7 @@ import pytest
 from calibration_fake_arm import POINTER
 from galen_calibration_behavior.calibrate import parse
 from galen_calibration_behavior.calibration.estimate import format_result
-from galen_ros.command import EXIT_USAGE
+from galen_common.command import EXIT_USAGE
 from galen_ros.goal.client import result_to_dict
 from galen_ros.node.testing import Harness
 from rclpy.action import ActionServer, CancelResponse, GoalResponse

@@ -1,6 +1,6 @@
 """The executables; each imports its module when it starts."""
 
-from galen_ros.executable import Executable
+from galen_common.executable import Executable
 
 collect = Executable("galen_deflection.collection.command")
 collection_node = Executable("galen_deflection.collection.node")

@@ -5,13 +5,13 @@ from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
+from galen_common.arm import names_of_joints
+from galen_common.cdr import RawWrench, deflection_bytes, pose_bytes
+from galen_common.stream.samples import Rejected
 from galen_model.errors import GalenError
-from galen_ros.arm import names_of_joints
-from galen_ros.cdr import RawWrench, deflection_bytes, pose_bytes
 from galen_ros.messages import STREAM
 from galen_ros.node.spin import run
-from galen_ros.stream.node import StreamNode
-from galen_ros.stream.samples import Rejected
+from galen_ros.node.stream_node import StreamNode
 from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter

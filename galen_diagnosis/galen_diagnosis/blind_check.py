@@ -6,8 +6,8 @@ import importlib
 import sys
 from pathlib import Path
 
+from galen_common.command import run_command
 from galen_model.errors import GalenError
-from galen_ros.command import run_command
 
 
 def main() -> int:

@@ -1,6 +1,6 @@
 """The executables; each imports its module when it starts."""
 
-from galen_ros.executable import Executable
+from galen_common.executable import Executable
 
 gravcomp_node = Executable("galen_gravcomp.node")
 evaluate = Executable("galen_gravcomp.evaluate.command")

@@ -5,16 +5,16 @@ import time
 from typing import Any
 
 import numpy as np
+from galen_common.arm import names_of_joints
+from galen_common.cdr import ImuWire, JointStateError, JointWire, RawWrench, UnreadableError
+from galen_common.stream.samples import PairedWrench, Rejection, Result
 from galen_model.arrays import Array
 from galen_model.errors import CalibrationFileError, ToolNameError
 from galen_model.files.calibration_file import CalibrationFile
-from galen_ros.arm import names_of_joints
-from galen_ros.cdr import ImuWire, JointStateError, JointWire, RawWrench, UnreadableError
 from galen_ros.messages import STREAM
 from galen_ros.node.spin import run
+from galen_ros.node.stream_node import StreamNode, input_qos
 from galen_ros.rclpy_workarounds import DeferredService, Respond
-from galen_ros.stream.node import StreamNode, input_qos
-from galen_ros.stream.samples import PairedWrench, Rejection, Result
 from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import Imu
 from std_srvs.srv import SetBool, Trigger

@@ -9,11 +9,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from calibration_files import pointer
+from galen_common.stream.samples import Notice, PairedWrench, Rejected, Rejection, Result
 from galen_gravcomp.compensator import Compensator, TareRejectedError
 from galen_gravcomp.parameters import GravcompParameters
 from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
-from galen_ros.stream.samples import Notice, PairedWrench, Rejected, Rejection, Result
 
 MS = 1_000_000
 S = 1_000_000_000

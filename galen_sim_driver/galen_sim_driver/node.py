@@ -8,10 +8,10 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from galen_common.cdr import joint_state_bytes, wrench_bytes
 from galen_model.arm.galen import TRACKER_FRAME, galen_urdf
 from galen_model.errors import ToolNameError
 from galen_model.files.calibration_file import check_tool_name
-from galen_ros.cdr import joint_state_bytes, wrench_bytes
 from galen_ros.messages import LATCHED, STREAM, fill_stamp, stamp_to_ns, wrench_to_array
 from galen_ros.node.diagnostics import ERROR, OK, WARN, Level, Status
 from galen_ros.node.managed_node import ManagedNode

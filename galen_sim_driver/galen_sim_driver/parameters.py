@@ -14,12 +14,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from galen_common.arm import ArmParameters
+from galen_common.parameters import ParameterError, param, param_fields
 from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN, SENSOR
 from galen_model.files.calibration_file import check_tool_name
 from galen_model.load.model import ADAPTER, TOOLS, Load, ToolGeometry
-from galen_ros.arm import ArmParameters
-from galen_ros.parameters import ParameterError, param, param_fields
 
 from galen_sim_driver.effects.effect import ConfigError, Effect
 from galen_sim_driver.effects.joints import as_word

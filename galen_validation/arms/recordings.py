@@ -21,6 +21,7 @@ import mujoco
 import numpy as np
 from galen_bags.arrays.arm_recording import JOINT_STATE_TYPE, WRENCH_TYPE
 from galen_bags.formats.writer import BagWriter
+from galen_common.cdr import NS_PER_S, joint_state_bytes, wrench_bytes
 from galen_model.arm.arm import STANDARD_GRAVITY_M_S2
 from galen_model.arm.galen import SENSOR, WRENCH_AXES
 from galen_model.arrays import Array
@@ -29,7 +30,6 @@ from galen_model.errors import GalenError
 from galen_model.load.identification import identify_single_load
 from galen_model.load.inertia import inertial_regressor
 from galen_model.load.model import Load
-from galen_ros.cdr import NS_PER_S, joint_state_bytes, wrench_bytes
 from scipy.interpolate import BPoly, CubicSpline, PPoly
 from scipy.signal import butter, sosfiltfilt
 from scipy.spatial.transform import Rotation

@@ -29,12 +29,12 @@ from typing import Any
 
 import numpy as np
 from galen_bags.many import run_many
+from galen_common.command import EXIT_INTERRUPTED, EXIT_OK, writing
 from galen_diagnosis.answer.answer import NONE
 from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
 from galen_model.files.atomic_file import write_whole
 from galen_model.json_fields import FieldError, read_json
-from galen_ros.command import EXIT_INTERRUPTED, EXIT_OK, writing
 from galen_sim_driver.effects.registry import contract_parameters, identities
 
 from galen_validation.blind.case import STRENGTHS, Case, Truth, generate

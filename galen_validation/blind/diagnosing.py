@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from galen_bags.many import run_many
+from galen_common.command import EXIT_OK, run_command, whole
 from galen_model.files.atomic_file import write_whole
-from galen_ros.command import EXIT_OK, run_command, whole
 
 from galen_validation.blind import confine
 from galen_validation.blind.answers import ANSWER

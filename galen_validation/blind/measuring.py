@@ -18,12 +18,12 @@ from pathlib import Path
 import numpy as np
 from galen_bags.arrays.arm_recording import JOINT_STATE_TYPE, POSE_TYPE, WRENCH_TYPE
 from galen_bags.formats.writer import BagWriter
+from galen_common.cdr import NS_PER_S, joint_state_bytes, pose_bytes, wrench_bytes
 from galen_model.arm.arm import STANDARD_GRAVITY_M_S2, Arm
 from galen_model.arm.galen import ENCODER_QUANTUM, GALEN, SENSOR, TRACKER_FRAME
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import CalibrationFile, write_calibration, zeroed_at
 from galen_model.load.model import LoadEstimate
-from galen_ros.cdr import NS_PER_S, joint_state_bytes, pose_bytes, wrench_bytes
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 

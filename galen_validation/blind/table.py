@@ -6,8 +6,8 @@ import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from galen_common.command import writing
 from galen_model.errors import GalenError
-from galen_ros.command import writing
 
 from galen_validation.blind.score import Answered, Rate, Score, score, sure_rate
 

@@ -18,9 +18,9 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
+from galen_common.command import check_file
 from galen_model.errors import GalenError
 from galen_model.files.atomic_file import write_whole
-from galen_ros.command import check_file
 from rich.console import Console
 
 from galen_validation.speed import bags, computing, diagnosis, nodes, startup

@@ -29,10 +29,10 @@ import numpy as np
 from galen_bags.arrays.arm_recording import ArmReader
 from galen_bags.formats.bag import open_bag
 from galen_bags.formats.writer import BagWriter
+from galen_common.cdr import joint_state_bytes, wrench_bytes
 from galen_gravcomp.evaluate.bag import evaluate_bag
 from galen_model.arm.galen import GALEN, SENSOR
 from galen_model.files.calibration_file import read_calibration, write_calibration
-from galen_ros.cdr import joint_state_bytes, wrench_bytes
 from rich.table import Table
 from tqdm import tqdm
 

@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 import rclpy
-from galen_ros.cdr import NS_PER_S, STAMP_AT
+from galen_common.cdr import NS_PER_S, STAMP_AT
 from galen_ros.messages import STREAM
 from galen_ros.node.spin import DomainLock, make_executor
 from geometry_msgs.msg import PoseStamped, WrenchStamped

@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from galen_common.goal.procedure import End
 from galen_model.arrays import Array
 from galen_model.errors import CalibrationFileError, GalenError, NotExcitedError, ToolNameError
 from galen_model.files.calibration_file import calibration_path
 from galen_model.poses.plan import SweepPlan
 from galen_ros.goal.node import ArmAction, GoalNode, RejectedGoalError, RunningGoal, named
-from galen_ros.goal.procedure import End
 from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import GetParameters
 from rclpy.action.server import ServerGoalHandle

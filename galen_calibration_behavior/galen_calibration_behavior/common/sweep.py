@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from galen_common.goal.arrival import PoseRejection
 from galen_model.arm.arm import Arm
 from galen_model.arrays import Array
 from galen_model.load.identification import StillPoses
 from galen_model.rest.segments import PoseRecord, StillnessSettings, wrench_fault
-from galen_ros.goal.arrival import PoseRejection
 
 _COLDEST_C, _HOTTEST_C = -273.15, 1000.0
 

@@ -16,13 +16,13 @@ from dataclasses import dataclass, replace
 from itertools import groupby
 
 import numpy as np
+from galen_common.goal.arrival import NS, PoseRejection
 from galen_model.arrays import Array
 from galen_model.errors import GalenError, IdentificationError
 from galen_model.load.identification import MIN_POSES, StillPoses
 from galen_model.rest.segments import PoseRecord, wrench_fault
 from galen_model.setup_check.check import SetupError, require_setup
 from galen_model.setup_check.readings import StillReadings
-from galen_ros.goal.arrival import NS, PoseRejection
 from numpy.typing import ArrayLike
 
 from galen_calibration_behavior.common.commands import Measurements

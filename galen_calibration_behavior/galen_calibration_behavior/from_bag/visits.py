@@ -15,11 +15,11 @@ from pathlib import Path
 
 import numpy as np
 from galen_bags.arrays.arm_recording import ArmRecording
+from galen_common.goal.arrival import NS, PoseRecorder, PoseRejection, StampClock, StampsError
 from galen_model.arm.galen import SENSOR
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.rest.segments import JointRest, PoseRecord, rest_by_joints
-from galen_ros.goal.arrival import NS, PoseRecorder, PoseRejection, StampClock, StampsError
 
 from galen_calibration_behavior.common.parameters import CalibrationParameters
 

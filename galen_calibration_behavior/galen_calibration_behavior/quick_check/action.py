@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from galen_common.goal.procedure import End
 from galen_model.arrays import Array
 from galen_model.errors import CalibrationFileError, GalenError, ToolNameError
 from galen_model.files.calibration_store import CalibrationStore
 from galen_ros.goal.node import ArmAction, GoalNode, RejectedGoalError, RunningGoal, named
-from galen_ros.goal.procedure import End
 from galen_ros.messages import LATCHED
 from rclpy.action.server import ServerGoalHandle
 

@@ -9,7 +9,7 @@ import sys
 from typing import Any
 
 import numpy as np
-from galen_ros.command import EXIT_OK, finite, make_parser, own_arguments, whole
+from galen_common.command import EXIT_OK, finite, make_parser, own_arguments, whole
 from galen_ros.goal.client import (
     GoalClient,
     add_client_options,

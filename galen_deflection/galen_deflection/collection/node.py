@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 from galen_bags.formats.errors import BagError
+from galen_common.goal.procedure import End
 from galen_model.arrays import Array
 from galen_model.errors import CalibrationFileError, GalenError, ToolNameError
 from galen_model.files.calibration_file import CalibrationFile, calibration_path, read_calibration
 from galen_model.json_fields import numbers
 from galen_model.rotation import quaternion_to_matrix
 from galen_ros.goal.node import ArmAction, GoalNode, RejectedGoalError, RunningGoal, named
-from galen_ros.goal.procedure import End
 from galen_ros.messages import STREAM, stamp_to_ns
 from galen_ros.node.spin import run
 from geometry_msgs.msg import PoseStamped

@@ -38,12 +38,12 @@ from __future__ import annotations
 from enum import Enum
 
 import numpy as np
+from galen_common.stream.monitor import joined
 from galen_model.arm.arm import Arm
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.load.model import gravity_regressor
 from galen_model.rest.windows import StillWindows
-from galen_ros.stream.monitor import joined
 
 from galen_gravcomp.corrections.tare import TareRamp
 

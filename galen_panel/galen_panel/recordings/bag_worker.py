@@ -77,9 +77,9 @@ def evaluate(
 ) -> dict[str, Any]:
     """Do as the command `evaluate`; writes its JSON, its picture, and its terminal's report."""
     from galen_bags.formats.bag import open_bag, robot_description
+    from galen_common.arm import ArmParameters
     from galen_gravcomp.evaluate.bag import BagJob, EvaluationSettings
     from galen_gravcomp.evaluate.bag_report import report
-    from galen_ros.arm import ArmParameters
     from rich.console import Console
 
     assert tool is not None

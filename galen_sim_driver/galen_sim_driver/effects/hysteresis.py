@@ -74,11 +74,11 @@ from functools import cache, partial
 from typing import ClassVar, Self
 
 import numpy as np
+from galen_common.parameters import param
 from galen_model.arm.arm import Arm
 from galen_model.arrays import Array
 from galen_model.load.model import TOOLS
 from galen_model.registration import move_twist
-from galen_ros.parameters import param
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq, minimize_scalar
 from scipy.special import lambertw

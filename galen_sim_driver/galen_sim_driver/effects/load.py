@@ -44,12 +44,12 @@ from functools import lru_cache
 from typing import ClassVar, Self
 
 import numpy as np
+from galen_common.parameters import param
 from galen_model.arm.arm import Arm
 from galen_model.arrays import Array
 from galen_model.load.inertia import LoadInMotion, inertial_wrench, point_mass_inertia
 from galen_model.load.model import Load
 from galen_model.rotation import skew
-from galen_ros.parameters import param
 from numpy.typing import ArrayLike
 
 from galen_sim_driver.effects.effect import ConfigError, Effect, Fitted, Instants, Posture

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import fields, replace
 from typing import Any
 
+from galen_common.parameters import ParameterError, checked, param_fields
 from galen_model.arm.arm import Arm
-from galen_ros.parameters import ParameterError, checked, param_fields
 
 from galen_sim_driver.effects.effect import ConfigError, Effect
 from galen_sim_driver.effects.hysteresis import DeflectionHysteresis

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from galen_model.arrays import Array
 
-from galen_ros.stream.samples import JointBuffer, SampleLimits, joint_jump, surely_finite
+from galen_common.stream.samples import JointBuffer, SampleLimits, joint_jump, surely_finite
 
 # Earlier and later than any stamp of a message, which has 32 bits for the seconds; differences of
 # these don't overflow.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import sys
 
-from galen_ros.executable import Executable
+from galen_common.executable import Executable
 
 COMMANDS = {
     "evaluate": ("galen_gravcomp.evaluate.command", "score a calibration on recordings or tables"),

@@ -14,9 +14,9 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from galen_ros.stream.pairing import WrenchPairing
-from galen_ros.stream.samples import Notice, Rejected, Rejection
-from galen_ros.stream.watches import FrozenWatch, LateWatch, Publishers
+from galen_common.stream.pairing import WrenchPairing
+from galen_common.stream.samples import Notice, Rejected, Rejection
+from galen_common.stream.watches import FrozenWatch, LateWatch, Publishers
 
 HOLD_S = 0.5
 NOTICE_HOLD_S = 5.0

@@ -20,7 +20,7 @@ from galen_model.arrays import Array
 from galen_model.poses.plan import quintic_duration_s
 from galen_model.rest.segments import PoseRecord
 
-from galen_ros.goal.arrival import (
+from galen_common.goal.arrival import (
     NS,
     ArrivalMonitor,
     MotionTimeoutError,
@@ -29,7 +29,7 @@ from galen_ros.goal.arrival import (
     StampClock,
     StampsError,
 )
-from galen_ros.goal.parameters import MotionParameters, PoseParameters
+from galen_common.goal.parameters import MotionParameters, PoseParameters
 
 OnRecord = Callable[[PoseRecord | PoseRejection], None]
 

@@ -12,8 +12,8 @@ from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.rest.segments import StillnessSettings
 
-from galen_ros.goal.arrival import ArrivalSettings
-from galen_ros.parameters import param
+from galen_common.goal.arrival import ArrivalSettings
+from galen_common.parameters import param
 
 # The arm moves on while the message is under way; and no stop takes for ever.
 _SHORTEST_STOP_S, _LONGEST_STOP_S = 0.1, 2.0

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from galen_common.stream.pairing import StreamParameters, WrenchPairing
+from galen_common.stream.regular_run import Arrivals
+from galen_common.stream.samples import Notice, PairedWrench
 from galen_model.arm.galen import GALEN
-from galen_ros.stream.pairing import StreamParameters, WrenchPairing
-from galen_ros.stream.regular_run import Arrivals
-from galen_ros.stream.samples import Notice, PairedWrench
 
 MS = 1_000_000
 # Turning, sliding, turning.

@@ -8,6 +8,17 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, cast
 
+from galen_common.arm import ArmParameters, other_arm
+from galen_common.cdr import JointStateError, JointWire, RawWrench, UnreadableError, WrenchWire
+from galen_common.stream.monitor import (
+    UNIT_TEXTS,
+    UNITS_HOLD_S,
+    Severity,
+    StreamMonitor,
+    StreamState,
+)
+from galen_common.stream.pairing import WrenchPairing
+from galen_common.stream.samples import Notice, Rejected, Rejection
 from galen_model.arm.arm import Arm
 from geometry_msgs.msg import WrenchStamped
 from rclpy.clock import Clock, ClockType
@@ -16,21 +27,10 @@ from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
-from galen_ros.arm import ArmParameters, other_arm
-from galen_ros.cdr import JointStateError, JointWire, RawWrench, UnreadableError, WrenchWire
 from galen_ros.messages import STREAM, publisher_nodes
 from galen_ros.node.diagnostics import Level, Status
 from galen_ros.node.managed_node import ManagedNode
 from galen_ros.node.robot_description import ArmSource
-from galen_ros.stream.monitor import (
-    UNIT_TEXTS,
-    UNITS_HOLD_S,
-    Severity,
-    StreamMonitor,
-    StreamState,
-)
-from galen_ros.stream.pairing import WrenchPairing
-from galen_ros.stream.samples import Notice, Rejected, Rejection
 
 PushWrench = Callable[[int, Sequence[float], str, object], list[Any]]
 
@@ -162,7 +162,7 @@ class StreamNode(ManagedNode):
             matched=lambda info: self._on_matched(topic, info),
             incompatible_qos=lambda _info: self._on_incompatible_qos(topic),
         )
-        # Serialised messages: see galen_ros.cdr.
+        # Serialised messages: see galen_common.cdr.
         return self.create_subscription(
             message_type, topic, callback, qos, event_callbacks=events, raw=True
         )

@@ -4,7 +4,7 @@ import argparse
 from dataclasses import dataclass
 
 import pytest
-from galen_ros.parameters import add_options, from_options, param
+from galen_common.parameters import add_options, from_options, param
 
 
 @dataclass(frozen=True)

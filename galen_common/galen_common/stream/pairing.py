@@ -17,9 +17,9 @@ import numpy as np
 from galen_model.arm.arm import Arm
 from galen_model.arrays import Array
 
-from galen_ros.parameters import param
-from galen_ros.stream.regular_run import Arrivals, find_regular_run
-from galen_ros.stream.samples import (
+from galen_common.parameters import param
+from galen_common.stream.regular_run import Arrivals, find_regular_run
+from galen_common.stream.samples import (
     NO_JOINTS_GAP,
     JointBuffer,
     Notice,
@@ -32,7 +32,7 @@ from galen_ros.stream.samples import (
     count_angle_unit_notices,
     joint_jump,
 )
-from galen_ros.stream.watches import FROZEN_S, LATE_S
+from galen_common.stream.watches import FROZEN_S, LATE_S
 
 # Wrenches that may wait: 2 s of a driver at 500 Hz.
 MAX_WAITING = 1000

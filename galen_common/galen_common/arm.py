@@ -19,7 +19,7 @@ from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
 from galen_model.json_fields import FieldError, read_limited
 
-from galen_ros.parameters import ParameterError, param
+from galen_common.parameters import ParameterError, param
 
 
 @dataclass(frozen=True)
