@@ -1,6 +1,7 @@
 from setuptools import find_packages, setup
 
 package_name = "galen_calibration_behavior"
+run = f"{package_name}.executables"
 
 setup(
     name=package_name,
@@ -19,10 +20,10 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            "calibration_node = galen_calibration_behavior.executables:calibration_node",
-            "calibrate = galen_calibration_behavior.executables:calibrate",
-            "check = galen_calibration_behavior.executables:check",
-            "calibrate_from_bag = galen_calibration_behavior.executables:calibrate_from_bag",
+            f"calibration_node = {run}:calibration_node",
+            f"calibrate = {run}:calibrate",
+            f"check = {run}:check",
+            f"calibrate_from_bag = {run}:calibrate_from_bag",
         ]
     },
 )

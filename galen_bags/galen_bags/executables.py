@@ -3,5 +3,5 @@
 from galen_common.executable import Executable
 
 convert = Executable("galen_bags.convert")
-record = Executable("galen_bags.record")
-play = Executable("galen_bags.play")
+record = Executable("galen_bags.ros.record")
+play = Executable("galen_bags.ros.play")

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 import pytest
-from galen_bags.recorder import TopicCounts
-from galen_bags.topics import find_definition
+from galen_bags.ros.recorder import TopicCounts
+from galen_bags.ros.topics import find_definition
 from galen_common.command import own_arguments
 from rosbags.typesys import get_types_from_msg
 

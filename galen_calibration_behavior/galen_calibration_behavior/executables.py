@@ -2,7 +2,7 @@
 
 from galen_common.executable import Executable
 
-calibration_node = Executable("galen_calibration_behavior.node")
-calibrate = Executable("galen_calibration_behavior.calibrate")
-check = Executable("galen_calibration_behavior.check")
+calibration_node = Executable("galen_calibration_behavior.ros.node")
+calibrate = Executable("galen_calibration_behavior.ros.calibrate")
+check = Executable("galen_calibration_behavior.ros.check")
 calibrate_from_bag = Executable("galen_calibration_behavior.calibrate_from_bag")

@@ -2,8 +2,8 @@
 
 from galen_common.executable import Executable
 
-collect = Executable("galen_deflection.collection.command")
-collection_node = Executable("galen_deflection.collection.node")
-deflection_node = Executable("galen_deflection.node")
+collect = Executable("galen_deflection.ros.collect")
+collection_node = Executable("galen_deflection.ros.collection_node")
+deflection_node = Executable("galen_deflection.ros.node")
 evaluate = Executable("galen_deflection.evaluate")
 train = Executable("galen_deflection.train")

@@ -2,6 +2,6 @@
 
 from galen_common.executable import Executable
 
-gravcomp_node = Executable("galen_gravcomp.node")
+gravcomp_node = Executable("galen_gravcomp.ros.node")
 evaluate = Executable("galen_gravcomp.evaluate.command")
 tools = Executable("galen_gravcomp.tools")

@@ -271,7 +271,7 @@ def _export(arguments: argparse.Namespace, store: CalibrationStore) -> None:
 
 
 def _active(arguments: argparse.Namespace, ros_args: Sequence[str]) -> None:
-    from galen_gravcomp.active_tool import read_active  # needs ROS, the other commands don't
+    from galen_gravcomp.ros.active_tool import read_active  # needs ROS, the other commands don't
 
     state = read_active(arguments.node, arguments.timeout_s, ros_args)
     shown: list[str | Table] = [_fields("active", state)]

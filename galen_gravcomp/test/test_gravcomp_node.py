@@ -10,7 +10,7 @@ import pytest
 from calibration_files import pointer
 from diagnostic_msgs.msg import DiagnosticArray
 from galen_common.stream.monitor import NOTICE_HOLD_S
-from galen_gravcomp.node import GravcompNode
+from galen_gravcomp.ros.node import GravcompNode
 from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import (

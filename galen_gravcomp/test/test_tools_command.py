@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from calibration_files import pointer
+from galen_gravcomp.ros import active_tool
 from galen_gravcomp.tools import main
 from galen_model.arm.description import read_arm
 from galen_model.files.calibration_file import (
@@ -19,7 +20,6 @@ from galen_model.files.calibration_file import (
 from galen_model.load.cable import LearnedPull
 from galen_model.load.mounting import Mounting
 
-from galen_gravcomp import active_tool
 from galen_gravcomp import tools as tools_module
 
 

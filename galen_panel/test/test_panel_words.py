@@ -83,7 +83,7 @@ def states_of_streams(role):
 
 
 def states_of_driver():
-    tree = ast.parse((ROOT / "galen_sim_driver/galen_sim_driver/node.py").read_text())
+    tree = ast.parse((ROOT / "galen_sim_driver/galen_sim_driver/ros/node.py").read_text())
     (state,) = (n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef) and n.name == "_state")
     returned = [n.value for n in ast.walk(state) if isinstance(n, ast.Return)]
     return {(NodeLevel[one.elts[0].id], one.elts[1].value) for one in returned}

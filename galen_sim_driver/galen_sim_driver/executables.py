@@ -2,4 +2,4 @@
 
 from galen_common.executable import Executable
 
-sim_driver_node = Executable("galen_sim_driver.node")
+sim_driver_node = Executable("galen_sim_driver.ros.node")

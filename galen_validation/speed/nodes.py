@@ -95,7 +95,7 @@ def gravcomp_nodes(tools_dir: Path) -> list[Subject]:
     """Return the compensator with its stages; writes a calibration file into tools_dir."""
     write_bench_tool(tools_dir)
     node = (
-        *("galen_gravcomp.node", "--ros-args", "--log-level", "error"),
+        *("galen_gravcomp.ros.node", "--ros-args", "--log-level", "error"),
         *("-p", f"tools_dir:={tools_dir}", "-p", f"tool:={NAME}"),
     )
     output = ("wrench_compensated", WrenchStamped)
@@ -119,7 +119,7 @@ def deflection_nodes(folder: Path) -> list[Subject]:
     out = []
     for model in write_bench_models(folder):
         arguments = (
-            *("galen_deflection.node", "--ros-args", "--log-level", "error"),
+            *("galen_deflection.ros.node", "--ros-args", "--log-level", "error"),
             *("-r", f"wrench_compensated:={WRENCH_TOPIC}", "-p", f"model_file:={model}"),
         )
         given = ("deflection", DeflectionStamped)

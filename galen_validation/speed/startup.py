@@ -48,12 +48,12 @@ def subjects(folder: Path) -> dict[str, tuple[str, tuple[str, ...]]]:
         "relay": ("relay", ("galen_validation.speed.relays", "relay", "wrench_raw")),
         "gravcomp_node": (
             "gravcomp",
-            ("galen_gravcomp.node", *ros, *tools, "-p", f"tool:={NAME}"),
+            ("galen_gravcomp.ros.node", *ros, *tools, "-p", f"tool:={NAME}"),
         ),
-        "deflection_node": ("deflection", ("galen_deflection.node", *ros)),
-        "sim_driver_node": ("sim_driver", ("galen_sim_driver.node", *ros)),
-        "calibration_node": ("calibration", ("galen_calibration_behavior.node", *ros, *tools)),
-        "collection_node": ("collection", ("galen_deflection.collection.node", *ros, *tools)),
+        "deflection_node": ("deflection", ("galen_deflection.ros.node", *ros)),
+        "sim_driver_node": ("sim_driver", ("galen_sim_driver.ros.node", *ros)),
+        "calibration_node": ("calibration", ("galen_calibration_behavior.ros.node", *ros, *tools)),
+        "collection_node": ("collection", ("galen_deflection.ros.collection_node", *ros, *tools)),
     }
 
 

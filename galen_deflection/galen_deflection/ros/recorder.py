@@ -27,7 +27,7 @@ from typing import Any
 
 from galen_bags.formats.errors import BagError
 from galen_bags.formats.writer import GrowingBagWriter
-from galen_bags.recorder import RecorderNode
+from galen_bags.ros.recorder import RecorderNode
 from galen_model.files.atomic_file import write_whole
 from galen_model.files.calibration_file import CalibrationFile, check_tool_name, write_calibration
 from rclpy.executors import SingleThreadedExecutor

@@ -25,8 +25,8 @@ from rclpy.executors import SingleThreadedExecutor
 
 from galen_bags.formats.errors import BagError
 from galen_bags.formats.writer import GrowingBagWriter
-from galen_bags.recorder import DEFAULT_TOPICS, RecorderNode, TopicCounts
-from galen_bags.topics import check_topic_name
+from galen_bags.ros.recorder import DEFAULT_TOPICS, RecorderNode, TopicCounts
+from galen_bags.ros.topics import check_topic_name
 
 _MB = 1_000_000
 _PATIENCE_S = 10.0

@@ -13,7 +13,7 @@ from galen_ros.messages import LATCHED
 from galen_ros.node.spin import init_ros
 from rclpy.node import Node
 
-from galen_gravcomp.tool_services import FILE_STATES
+from galen_gravcomp.ros.tool_services import FILE_STATES
 from galen_msgs.msg import ActiveTool
 
 

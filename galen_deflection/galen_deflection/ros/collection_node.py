@@ -36,11 +36,11 @@ from galen_deflection.collection.plan import (
     make_plan,
 )
 from galen_deflection.collection.procedure import CollectionProcedure
-from galen_deflection.collection.recorder import (
+from galen_deflection.measurement.samples import DeflectionError
+from galen_deflection.ros.recorder import (
     BagRecording,
     CollectionFolder,
 )
-from galen_deflection.measurement.samples import DeflectionError
 from galen_msgs.action import CollectPushes
 from galen_msgs.srv import PushTool
 

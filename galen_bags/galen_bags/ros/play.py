@@ -23,7 +23,7 @@ from galen_common.command import (
 from galen_ros.node.spin import run_until
 
 from galen_bags.formats.bag import Bag, open_bag
-from galen_bags.player import PlayerNode, PlayOptions
+from galen_bags.ros.player import PlayerNode, PlayOptions
 
 _NOTES = """Pause: ros2 service call /player/pause std_srvs/srv/SetBool "{data: true}"
 Under other names: --ros-args -r OLD:=NEW"""

@@ -10,9 +10,9 @@ from galen_model.errors import GalenError
 from galen_ros.goal.node import GoalNode
 from galen_ros.node.spin import run
 
-from galen_calibration_behavior.calibration.action import CalibrateAction
 from galen_calibration_behavior.common.parameters import CalibrationParameters
-from galen_calibration_behavior.quick_check.action import CheckAction
+from galen_calibration_behavior.ros.calibration_action import CalibrateAction
+from galen_calibration_behavior.ros.quick_check_action import CheckAction
 
 
 class CalibrationNode(GoalNode):

@@ -22,7 +22,7 @@ from std_srvs.srv import SetBool, Trigger
 from galen_gravcomp.compensator import Compensator, TareRejectedError
 from galen_gravcomp.monitor import Monitor
 from galen_gravcomp.parameters import GravcompParameters
-from galen_gravcomp.tool_services import ToolServices
+from galen_gravcomp.ros.tool_services import ToolServices
 from galen_msgs.srv import SetTool
 
 # Wall time without a compensated wrench after which a running tare is given up.

@@ -18,7 +18,7 @@ from rclpy.topic_or_service_is_hidden import topic_or_service_is_hidden
 
 from galen_bags.formats.errors import BagError
 from galen_bags.formats.writer import GrowingBagWriter
-from galen_bags.topics import (
+from galen_bags.ros.topics import (
     check_topic_name,
     definition_of,
     message_class,

@@ -24,8 +24,8 @@ from galen_bags.formats.bag import Bag
 from galen_bags.formats.errors import BagError
 from galen_bags.formats.files import read_metadata
 from galen_bags.formats.raw_block import Messages
+from galen_bags.ros.topics import message_class, offer_again
 from galen_bags.timing import BagClock, Playlist, window
-from galen_bags.topics import message_class, offer_again
 
 _CLOCK = "/clock"
 _CLOCK_HZ = 100.0
