@@ -88,7 +88,7 @@ def build_parser() -> argparse.ArgumentParser:
             "--seed",
             type=whole(0),
             metavar="N",
-            help="makes the same set again (default: a random one, told by the labels)",
+            help="makes the same set again (default: a random one, which the labels name)",
         )
         step.add_argument(
             "--workers", type=whole(1), metavar="N", help="processes (default: one a processor)"
@@ -119,8 +119,8 @@ def make(arguments: argparse.Namespace, folder: Path, generate: Generate = gener
     """Make the set; raises GalenError."""
     check_parent(folder)
     wanted = {name: getattr(arguments, name) for name in ("per_class", "healthy", "short")}
-    told = blind_protocol.make(folder, wanted, arguments.seed, arguments.workers, generate)
-    print(f"labels sealed in {beside(folder, 'labels')}, SHA-256 {told}", flush=True)
+    published = blind_protocol.make(folder, wanted, arguments.seed, arguments.workers, generate)
+    print(f"labels sealed in {beside(folder, 'labels')}, SHA-256 {published}", flush=True)
 
 
 def run(
@@ -169,7 +169,7 @@ def scored(
 
 
 def _made(folder: Path, plan: dict[str, Any], recordings: int) -> str:
-    """Say of which set a table is, and when it was scored."""
+    """Name the set of a table, and the day of its score."""
     options = "--short" if plan.get("short") else ""
     for name in () if options else ("per_class", "healthy"):
         options += f" --{name.replace('_', '-')} {plan.get(name)}"

@@ -42,7 +42,7 @@ FIRST_SEED = 7_000_000
 
 _FAINT = 0.5
 _LEAST = 1e-3
-"""A single case costs no more than this probability: the plant's laws may be odd, too."""
+"""A single case costs no more than this probability: the plant itself may be odd, too."""
 
 _SPREAD = (0.3, 0.5, 0.5, 0.5, 0.7, 0.4)
 """Prior of the settings' logarithms about where they start."""

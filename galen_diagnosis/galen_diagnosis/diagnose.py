@@ -136,7 +136,7 @@ class Job:
         return self.diagnose(recording, lambda stage, share: None).answer.to_json()
 
     def diagnose(self, place: Place, progress: Callable[[str, float], None]) -> Diagnosis:
-        """Diagnose and write; raises GalenError. progress: told each stage, and what is done."""
+        """Diagnose and write; raises GalenError. progress: called with stage and share."""
         folder = self.folders.get(place)
         if self.output is not None:
             folder = self.output / f"diagnosis_{name_of(place, self.name_parts)}"

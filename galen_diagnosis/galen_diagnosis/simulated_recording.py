@@ -159,8 +159,8 @@ def make_recording(
         with writing(target):
             session.record(bags)
             if truth:
-                told = [{"effect": e.name, "parameters": contract_parameters(e)} for e in effects]
-                text = json.dumps({"effects": told}, indent=1)
+                added = [{"effect": e.name, "parameters": contract_parameters(e)} for e in effects]
+                text = json.dumps({"effects": added}, indent=1)
                 (work / "truth.json").write_text(text, encoding="utf-8")
             work.chmod(0o755)  # mkdtemp's are the owner's alone
             os.replace(work, target)

@@ -189,10 +189,12 @@ def parameter_name(effect: Effect, field: str) -> str:
     """Return the driver's parameter for a field of an effect."""
     own = effect.name.split("_")
     group, *entry = effect.contract_names.get(field, field).split(".", 1)
-    told = group.lower().split("_")
-    shared = max(k for k in range(min(len(own), len(told)) + 1) if own[len(own) - k :] == told[:k])
+    words = group.lower().split("_")
+    shared = max(
+        k for k in range(min(len(own), len(words)) + 1) if own[len(own) - k :] == words[:k]
+    )
     joint = effect.identity.split(":", 1)[1:]
-    return "_".join([*own, *map(as_word, joint), *told[shared:], *map(as_word, entry)])
+    return "_".join([*own, *map(as_word, joint), *words[shared:], *map(as_word, entry)])
 
 
 def _names(effect: Effect) -> dict[str, str]:

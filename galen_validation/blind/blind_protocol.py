@@ -88,7 +88,7 @@ Each hides one cause of the gap between arm and model, two, one that is on no li
    `sha256sum -c labels.sha256` then shows that no label has changed.
 
 The page docs/benchmark.md of the suite Galen has the format of an answer and the scores. Effects
-and their parameters, SI units; `joint` stands beside `effect`, as it does there:
+and their parameters, SI units; `joint` is a field of the cause, like `effect`:
 
 """
 
@@ -97,10 +97,10 @@ def rules() -> str:
     """Return the README of a set: rules, and the list's effects with their parameters."""
     lines = []
     for name, effect in {one.name: one for one in identities(GALEN).values()}.items():
-        told = contract_parameters(effect) or {"stiffness": "by joint"}
+        named = contract_parameters(effect) or {"stiffness": "by joint"}
         parts = [
             f"{key}[{len(value)}]" if isinstance(value, list) else key
-            for key, value in told.items()
+            for key, value in named.items()
         ]
         lines.append(f"- `{name}`: {', '.join(parts)}\n")
     return _RULES + "".join(lines)

@@ -143,7 +143,7 @@ class SweepSorter:
     def two_sweeps(self, recording: Visits, tool_on_at_s: float | None = None) -> RecordedSweeps:
         """Both sweeps out of one recording; where the tool came on is found, or given.
 
-        Raises GalenError, also where it can't be told where the tool came on.
+        Raises GalenError, also where it is not known where the tool came on.
         """
         visits, warnings = self._home.after_zeroing(recording)
         visits = self._home.without_ends(visits)

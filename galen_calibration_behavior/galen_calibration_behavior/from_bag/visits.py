@@ -75,7 +75,7 @@ class Visits:
 
     @property
     def origin_ns(self) -> int:
-        """Stamp of the first joint state, from which times are told."""
+        """Stamp of the first joint state, from which times are counted."""
         return int(self.recording.joint_stamp_ns[0])
 
     def time_s(self, stamp_ns: int) -> float:
@@ -207,7 +207,7 @@ class _Player:
         """Feed both topics from joint row `first` to `last` until there is a result."""
         recording = self._recording
         count = len(recording.joint_stamp_ns)
-        # Nothing after the last joint state can be told to belong elsewhere.
+        # Nothing after the last joint state can be shown to belong elsewhere.
         end = None if last == count - 1 else self._joint_place[last] + 1
         for row in self._order[self._joint_place[first] : end].tolist():
             if row < count:

@@ -55,8 +55,8 @@ class CalibrateClient(GoalClient):
         """Run it; without `--json` the result has only the warnings not shown yet."""
         result = super().run()
         if not self.options.json:
-            told = self._shown_warnings
-            result.warnings = [text for text in result.warnings if WARNING + text not in told]
+            shown = self._shown_warnings
+            result.warnings = [text for text in result.warnings if WARNING + text not in shown]
         return result
 
     def make_goal(self) -> CalibrateTool.Goal:

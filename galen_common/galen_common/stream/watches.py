@@ -86,8 +86,8 @@ class LateWatch:
         """The largest lateness of these."""
         self._late_s = late_s
         self._last_s = -math.inf
-        self._told = 0
-        self._told_s = -math.inf
+        self._reported = 0
+        self._reported_s = -math.inf
         self.forget()
 
     def forget(self) -> None:
@@ -113,8 +113,8 @@ class LateWatch:
 
     def tick(self, now_s: float) -> None:
         """Let go of what is too old; call it a few times a second."""
-        if self.count > self._told:
-            self._told, self._told_s = self.count, now_s
+        if self.count > self._reported:
+            self._reported, self._reported_s = self.count, now_s
         if self._turned_s is None:
             self._turned_s = now_s
         elif now_s - self._turned_s >= WINDOW_S:
@@ -124,10 +124,10 @@ class LateWatch:
 
     def trouble(self, now_s: float, hold_s: float) -> str:
         """Return what was late, in words, for so long after the last one; else empty."""
-        if now_s - self._told_s >= hold_s:
+        if now_s - self._reported_s >= hold_s:
             return ""
         return (
-            f"{self._told} so far came late, the worst by {self.worst_s:.2g} s: they go out,"
+            f"{self._reported} so far came late, the worst by {self.worst_s:.2g} s: they go out,"
             " and their users have to look at their stamps"
         )
 

@@ -63,7 +63,7 @@ _UNITS = {
 _TOPIC = "wrench_compensated"
 
 OnProgress = Callable[[int, int | None], None]
-"""Is told how many messages are done, and the total; None where the bag does not hold it."""
+"""Called with how many messages are done, and the total; None where the bag does not hold it."""
 
 
 @dataclass(frozen=True)

@@ -97,12 +97,12 @@ def _read(text: str, base_frame: str, sensor_frame: str, gravity_m_s2: ArrayLike
     pairs = list(zip(galen.joints, arm.joints, strict=True))
     if not galen.difference(arm):
         return replace(
-            galen, joints=tuple(replace(own, max_velocity=told.max_velocity) for own, told in pairs)
+            galen, joints=tuple(replace(own, max_velocity=read.max_velocity) for own, read in pairs)
         )
     # A description that was corrected has other zeros and axes of roll and tilt on the same rods.
     if galen.difference(replace(arm, joints=(*arm.joints[:3], *galen.joints[3:]))):
         return arm
-    corrected = (replace(told, home=own.home, stiffness=own.stiffness) for own, told in pairs)
+    corrected = (replace(read, home=own.home, stiffness=own.stiffness) for own, read in pairs)
     return replace(arm, joints=tuple(corrected), delta=galen.delta)
 
 

@@ -141,8 +141,8 @@ class InertialLoad(Effect):
         loads = (posture.tool, posture.adapter)
         if motion is None or sum(load.mass_kg for load in loads) <= 0.0:
             return None
-        told = tuple((load.mass_kg, *np.asarray(load.com_m).tolist()) for load in loads)
-        moments, inertia = _numbers(self.mass_kg, told)
+        masses = tuple((load.mass_kg, *np.asarray(load.com_m).tolist()) for load in loads)
+        moments, inertia = _numbers(self.mass_kg, masses)
         inertia = inertia + np.array(self.own_inertia_kg_m2)
         moved = (-motion.acceleration_m_s2, motion.velocity_rad_s, motion.acceleration_rad_s2)
         if len(when) == 1:  # a driver's sample: some ten times as fast

@@ -133,23 +133,23 @@ def effect_from(name: str, parameters: Mapping[str, Any], arm: Arm) -> Effect:
         raise ConfigError(f"no effect '{name}'; known: {', '.join(EFFECTS)}")
     kind = _kind(name, arm)
     own = param_fields(kind)
-    names = {told: field for field, told in kind.contract_names.items()}
+    names = {key: field for field, key in kind.contract_names.items()}
     values = {}
-    for told, value in _flat(parameters).items():
-        field = names.get(told, told)
+    for key, value in _flat(parameters).items():
+        field = names.get(key, key)
         if field not in own:
             known = ", ".join(kind.contract_names.get(other, other) for other in own)
-            raise ConfigError(f"{name}: no parameter '{told}'; known: {known}")
+            raise ConfigError(f"{name}: no parameter '{key}'; known: {known}")
         hint, default, meaning = own[field]
         plain = value.tolist() if hasattr(value, "tolist") else value
         try:
-            values[field] = checked(told, plain, hint, meaning)
+            values[field] = checked(key, plain, hint, meaning)
         except ParameterError as error:
             raise ConfigError(f"{name}: {error}") from None
         wanted = len(default) if isinstance(default, tuple) else 0
         if wanted and len(values[field]) != wanted:
             raise ConfigError(
-                f"{name}: {told} has {len(values[field])} numbers, but must have {wanted}"
+                f"{name}: {key} has {len(values[field])} numbers, but must have {wanted}"
             )
     effect = kind(**values)
     if isinstance(effect, AtJoint):
