@@ -57,20 +57,20 @@ demo: build ## calibrate two tools on the simulated arm and show the report's ta
 	@$(ENTER) && python -m galen_bringup.demo $(ARGS)
 
 bench: build dev ## measure: nodes against a bare relay, kernels, start-up, diagnosis, bags (40 min)
-	@$(ENTER) && python -m benchmarks.speed --output output/bench.json $(ARGS)
+	@$(ENTER) && python -m galen_validation.speed --output output/bench.json $(ARGS)
 
 arms: build dev ## calibrate robots that others described, a UR5 in MuJoCo, a measured Panda (20 min)
 	@$(SETUP) arms
-	@$(ENTER) && python -m benchmarks.arms $(ARGS)
+	@$(ENTER) && python -m galen_validation.arms $(ARGS)
 
 soak: build ## run the nodes for long: losses, memory, stamps; an hour simulated, 10 min at 1000 Hz
-	@$(ENTER) && python -m benchmarks.soak $(ARGS)
+	@$(ENTER) && python -m galen_validation.soak $(ARGS)
 
 blind: build dev ## hide causes in recordings, diagnose them, score that (an hour or more)
-	@$(ENTER) && python -m galen_diagnosis.blind_check run $(ARGS)
+	@$(ENTER) && python -m galen_validation.blind_check run $(ARGS)
 
 blind-short: build dev ## the same with six recordings, always the same ones; must get them right
-	@$(ENTER) && python -m galen_diagnosis.blind_check run --short --seed 1
+	@$(ENTER) && python -m galen_validation.blind_check run --short --seed 1
 
 clean: ## remove what was built; with ALL=1 the environment too
 	rm -rf build install log $(if $(ALL),.venv)

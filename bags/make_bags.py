@@ -385,7 +385,7 @@ def run(recipes: Iterable[Recipe], check: bool, quiet: bool, folder: Path = HERE
 
     Unless `check` is set, what differs is put in their place, and README's table is written.
     """
-    told: list[str] = []
+    changed: list[str] = []
     # Beside the bags, so that putting them in place is a rename.
     with tempfile.TemporaryDirectory(dir=None if check else folder, prefix=".making.") as made:
         for recipe in recipes:
@@ -393,10 +393,10 @@ def run(recipes: Iterable[Recipe], check: bool, quiet: bool, folder: Path = HERE
             found = differences(recipe, Path(made), folder)
             if found and not check:
                 replace(recipe, Path(made), folder)
-            told += found
+            changed += found
     if not check:
         write_readme(folder)
-    return told
+    return changed
 
 
 def main(args: list[str] | None = None) -> int:
@@ -421,18 +421,18 @@ def main(args: list[str] | None = None) -> int:
     options = parser.parse_args(args)
     recipes = [r for r in RECIPES if options.only is None or r.name in options.only]
     try:
-        told = run(recipes, options.check, options.quiet)
+        changed = run(recipes, options.check, options.quiet)
     except (GalenError, OSError) as error:
         print(f"make_bags: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print("make_bags: interrupted", file=sys.stderr)
         return 130
-    for line in told:
+    for line in changed:
         print(line if options.check else f"written anew: {line}", file=sys.stderr)
-    if not told:
+    if not changed:
         print("all the same")
-    return 1 if told and options.check else 0
+    return 1 if changed and options.check else 0
 
 
 if __name__ == "__main__":

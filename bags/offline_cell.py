@@ -22,10 +22,10 @@ from galen_calibration_behavior.common.commands import (
     ZeroSensor,
 )
 from galen_calibration_behavior.common.parameters import CalibrationParameters
+from galen_common.cdr import joint_state_bytes, pose_bytes, wrench_bytes
+from galen_common.goal.procedure import MoveTo, Stop
 from galen_model.arm.galen import GALEN, SENSOR_FRAME, TRACKER_FRAME
 from galen_model.errors import GalenError
-from galen_ros.cdr import joint_state_bytes, pose_bytes, wrench_bytes
-from galen_ros.goal.procedure import MoveTo, Stop
 from galen_sim_driver.plant.cell import Plant, Sample
 from galen_sim_driver.plant.config import PlantError
 from galen_sim_driver.plant.motion import Trajectory, TrajectoryPoint

@@ -19,9 +19,9 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            "convert = galen_ros.executable:galen_bags.convert.main",
-            "record = galen_ros.executable:galen_bags.record.main",
-            "play = galen_ros.executable:galen_bags.play.main",
+            "convert = galen_bags.executables:convert",
+            "record = galen_bags.executables:record",
+            "play = galen_bags.executables:play",
         ]
     },
 )

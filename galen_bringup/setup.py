@@ -25,8 +25,8 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            "demo = galen_ros.executable:galen_bringup.demo.main",
-            "preflight = galen_ros.executable:galen_bringup.preflight.main",
+            "demo = galen_bringup.executables:demo",
+            "preflight = galen_bringup.executables:preflight",
         ]
     },
 )

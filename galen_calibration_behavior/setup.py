@@ -1,7 +1,7 @@
 from setuptools import find_packages, setup
 
 package_name = "galen_calibration_behavior"
-run = f"galen_ros.executable:{package_name}"
+run = f"{package_name}.executables"
 
 setup(
     name=package_name,
@@ -20,10 +20,10 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            f"calibration_node = {run}.node.main",
-            f"calibrate = {run}.calibrate.main",
-            f"check = {run}.check.main",
-            f"calibrate_from_bag = {run}.calibrate_from_bag.main",
+            f"calibration_node = {run}:calibration_node",
+            f"calibrate = {run}:calibrate",
+            f"check = {run}:check",
+            f"calibrate_from_bag = {run}:calibrate_from_bag",
         ]
     },
 )

@@ -19,11 +19,11 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            "collect = galen_ros.executable:galen_deflection.collection.command.main",
-            "collection_node = galen_ros.executable:galen_deflection.collection.node.main",
-            "deflection_node = galen_ros.executable:galen_deflection.node.main",
-            "evaluate = galen_ros.executable:galen_deflection.evaluate.main",
-            "train = galen_ros.executable:galen_deflection.train.main",
+            "collect = galen_deflection.executables:collect",
+            "collection_node = galen_deflection.executables:collection_node",
+            "deflection_node = galen_deflection.executables:deflection_node",
+            "evaluate = galen_deflection.executables:evaluate",
+            "train = galen_deflection.executables:train",
         ]
     },
 )

@@ -19,8 +19,8 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            "diagnose = galen_ros.executable:galen_diagnosis.diagnose.main",
-            "blind_check = galen_ros.executable:galen_diagnosis.blind_check.main",
+            "diagnose = galen_diagnosis.executables:diagnose",
+            "blind_check = galen_diagnosis.executables:blind_check",
         ]
     },
 )

@@ -19,9 +19,9 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            "gravcomp_node = galen_ros.executable:galen_gravcomp.node.main",
-            "evaluate = galen_ros.executable:galen_gravcomp.evaluate.command.main",
-            "tools = galen_ros.executable:galen_gravcomp.tools.main",
+            "gravcomp_node = galen_gravcomp.executables:gravcomp_node",
+            "evaluate = galen_gravcomp.executables:evaluate",
+            "tools = galen_gravcomp.executables:tools",
         ]
     },
 )

@@ -17,5 +17,5 @@ setup(
     maintainer_email="galen@example.org",
     description="The operator's panel in the browser.",
     license="Apache-2.0",
-    entry_points={"console_scripts": ["panel = galen_ros.executable:galen_panel.panel.main"]},
+    entry_points={"console_scripts": ["panel = galen_panel.executables:panel"]},
 )

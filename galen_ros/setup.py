@@ -6,7 +6,6 @@ setup(
     name=package_name,
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
-    package_data={"": ["*.html", "*.css"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + package_name]),
         ("share/" + package_name, ["package.xml"]),
@@ -16,8 +15,7 @@ setup(
     maintainer="The Galen suite's authors",
     maintainer_email="galen@example.org",
     description=(
-        "What the Galen nodes share on the ROS side: "
-        "parameters, diagnostics, conversions, spinning."
+        "What the Galen nodes share on the ROS side: nodes, diagnostics, conversions, spinning."
     ),
     license="Apache-2.0",
     entry_points={"console_scripts": []},

@@ -17,6 +17,6 @@ setup(
     description="Stands in for the Galen's arm, force/torque sensor and optical tracker.",
     license="Apache-2.0",
     entry_points={
-        "console_scripts": ["sim_driver_node = galen_ros.executable:galen_sim_driver.node.main"]
+        "console_scripts": ["sim_driver_node = galen_sim_driver.executables:sim_driver_node"]
     },
 )

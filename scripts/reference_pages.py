@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from galen_ros.parameters import markdown_table
+from galen_common.parameters import markdown_table
 from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -13,15 +13,15 @@ from typing import Any
 
 import numpy as np
 from fuzz.readers import a_tool
-from galen_calibration_behavior.node import CalibrationNode
-from galen_deflection.collection.node import CollectionNode
-from galen_deflection.node import DeflectionNode
-from galen_gravcomp.node import GravcompNode
+from galen_calibration_behavior.ros.node import CalibrationNode
+from galen_deflection.ros.collection_node import CollectionNode
+from galen_deflection.ros.node import DeflectionNode
+from galen_gravcomp.ros.node import GravcompNode
 from galen_model.arm.galen import GALEN
 from galen_model.files.calibration_file import calibration_path, write_calibration
 from galen_ros.messages import STREAM, wrench_to_array
 from galen_ros.node.testing import Harness, parameters
-from galen_sim_driver.node import SimDriverNode
+from galen_sim_driver.ros.node import SimDriverNode
 from geometry_msgs.msg import WrenchStamped
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters

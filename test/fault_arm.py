@@ -1,7 +1,7 @@
 """An arm by the contract's numbers, and a driver that publishes what it is told."""
 
 import numpy as np
-from galen_ros.cdr import joint_state_bytes, wrench_bytes
+from galen_common.cdr import joint_state_bytes, wrench_bytes
 from galen_ros.messages import STREAM
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node

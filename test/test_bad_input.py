@@ -15,8 +15,8 @@ from fuzz.readers import READERS, check
 from galen_bags.formats.errors import BagError
 from galen_bags.formats.raw_block import pack
 from galen_bags.formats.writer import BagWriter
+from galen_common.cdr import WrenchWire
 from galen_model.errors import GalenError
-from galen_ros.cdr import WrenchWire
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 

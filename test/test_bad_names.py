@@ -24,8 +24,8 @@ from bad_bytes import TEXTS
 from fuzz.readers import READERS, a_tool, check, signed
 from galen_bags.formats.bag import open_bag
 from galen_bags.formats.errors import BagError
-from galen_deflection.collection.recorder import CollectionFolder
-from galen_gravcomp.tool_services import error_code
+from galen_deflection.ros.recorder import CollectionFolder
+from galen_gravcomp.ros.tool_services import error_code
 from galen_model.arm.galen import GALEN
 from galen_model.errors import CalibrationFileError, GalenError, ToolNameError
 from galen_model.files.calibration_file import calibration_path, check_tool_name, write_calibration

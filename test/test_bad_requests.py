@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 import pytest
 from bad_requests import ACTIONS, SERVICES, World, garbage, told, wrong, wrong_values
+from galen_common.parameters import ParameterError, checked, param_fields
 from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
 from galen_ros.node.managed_node import ManagedNode
 from galen_ros.node.testing import Harness, Lifecycle
-from galen_ros.parameters import ParameterError, checked, param_fields
 from galen_sim_driver.parameters import DriverParameters, EffectParameters, effects_of
 from galen_sim_driver.plant.cell import Plant
 from rcl_interfaces.msg import ParameterType

@@ -63,9 +63,7 @@ def run(command, *arguments):
     package, name = COMMANDS[command]
     (entry,) = distribution(package).entry_points.select(group="console_scripts", name=name)
     # Without the wrapper that handles signals, which are pytest's here.
-    wrapped = entry.value.replace(":", ".").removeprefix("galen_ros.executable.")
-    module, _, function = wrapped.rpartition(".")
-    main = getattr(importlib.import_module(module), function)
+    main = importlib.import_module(entry.load().module).main
     printed = io.StringIO()
     with contextlib.redirect_stdout(printed):
         try:

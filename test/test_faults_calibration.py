@@ -51,11 +51,11 @@ def world(tmp_path_factory):
     with FaultWorld(folder) as world:
         world.start(
             "driver",
-            ["-m", "galen_sim_driver.node"],
+            ["-m", "galen_sim_driver.ros.node"],
             {"speed_factor": 4.0, "seed": 3},
         )
         parameters = {"tools_dir": folder, "use_sim_time": True} | QUICK
-        world.start("calibration", ["-m", "galen_calibration_behavior.node"], parameters)
+        world.start("calibration", ["-m", "galen_calibration_behavior.ros.node"], parameters)
         world.client = world.harness.add(lambda context: Client(context=context))
         world.wait_for(world.client.calibrate.server_is_ready, "the action server")
         world.wait_for(lambda: world.client.joints, "the driver")
@@ -126,7 +126,14 @@ def test_a_client_that_is_killed_and_another_at_once(world):
     file = world.folder / "retractor.json"
     file.unlink(missing_ok=True)
     tip = [repr(float(value)) for value in TIP_M]
-    command = ["-m", "galen_calibration_behavior.calibrate", "retractor", "--json", "--tip", *tip]
+    command = [
+        "-m",
+        "galen_calibration_behavior.ros.calibrate",
+        "retractor",
+        "--json",
+        "--tip",
+        *tip,
+    ]
     world.start("calibrate", command)
     world.wait_for(lambda: world.says("SWEEP_BARE", "calibration"), "the sweep", patience_s=300.0)
     world.kill("calibrate")

@@ -32,7 +32,7 @@ def world(tmp_path):
 def start_gravcomp(world, late_s=0.0):
     """`late_s` 0: a machine with other work makes wrenches late enough by itself."""
     parameters = {"tools_dir": world.folder, "tool": "retractor", "calibration_monitor": False}
-    world.start("gravcomp", ["-m", "galen_gravcomp.node"], parameters | {"late_s": late_s})
+    world.start("gravcomp", ["-m", "galen_gravcomp.ros.node"], parameters | {"late_s": late_s})
 
 
 def start(world, name, which, remaps=None):

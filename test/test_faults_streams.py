@@ -27,9 +27,9 @@ def world(tmp_path_factory):
             "calibration_monitor": False,
             "late_s": 0.0,
         }
-        world.start("gravcomp", ["-m", "galen_gravcomp.node"], parameters)
+        world.start("gravcomp", ["-m", "galen_gravcomp.ros.node"], parameters)
         parameters = {"model_file": folder / "model.json", "late_s": 0.0}
-        world.start("deflection", ["-m", "galen_deflection.node"], parameters)
+        world.start("deflection", ["-m", "galen_deflection.ros.node"], parameters)
         world.driver = world.source("driver")
         world.works(world.driver)
         world.works(world.driver, "deflection")

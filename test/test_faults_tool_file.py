@@ -108,7 +108,7 @@ def world(tmp_path_factory):
 
 
 def start(world):
-    world.start("gravcomp", ["-m", "galen_gravcomp.node"], world.parameters)
+    world.start("gravcomp", ["-m", "galen_gravcomp.ros.node"], world.parameters)
 
 
 def value(world, key):

@@ -7,9 +7,9 @@ from importlib.metadata import distribution
 from pathlib import Path
 
 import pytest
+from galen_common.executable import Executable
 
 ROOT = Path(__file__).resolve().parent.parent
-HANDLER = "galen_ros.executable:"
 PACKAGES = sorted(path.parent.name for path in ROOT.glob("galen_*/setup.py"))
 
 INTERRUPT_AT_IMPORT = """
@@ -28,27 +28,35 @@ sys.meta_path.insert(0, Interrupt())
 sys.argv = [executable, "--help"]
 sys.exit(entry.load()())
 """
+LOADED_AT_START = """
+import sys
+import PACKAGE.executables
+print([name for name in ("numpy", "rclpy") if name in sys.modules])
+"""
 
 
 def executables():
     """All, as (package, name, what is loaded)."""
     for package in PACKAGES:
         for entry in distribution(package).entry_points.select(group="console_scripts"):
-            yield package, entry.name, entry.value
+            yield package, entry.name, entry.load()
 
 
 @pytest.mark.parametrize("package", PACKAGES)
 def test_every_executable_handles_interrupts_before_its_imports(package):
-    values = {name: value for of, name, value in executables() if of == package}
-    assert {name for name, value in values.items() if not value.startswith(HANDLER)} == set()
+    found = [value for of, _, value in executables() if of == package]
+    assert all(isinstance(one, Executable) for one in found)
+    if found:
+        program = LOADED_AT_START.replace("PACKAGE", package)
+        done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+        assert done.stdout == "[]\n", done.stderr
 
 
 @pytest.mark.parametrize("name", ["gravcomp_node", "evaluate", "panel"])
 def test_interrupted_import_ends_without_a_traceback(name):
-    package, _, value = next(one for one in executables() if one[1] == name)
-    module = value.removeprefix(HANDLER).replace(":", ".").rpartition(".")[0]
+    package, _, executable = next(one for one in executables() if one[1] == name)
     done = subprocess.run(
-        [sys.executable, "-c", INTERRUPT_AT_IMPORT, package, name, module],
+        [sys.executable, "-c", INTERRUPT_AT_IMPORT, package, name, executable.module],
         capture_output=True,
         text=True,
         timeout=60.0,

@@ -9,41 +9,17 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = sorted(path.parent.name for path in ROOT.glob("galen_*/setup.py"))
 
-# These modules, and all modules of these rooms, may need rclpy or messages. All others are pure:
-# they work, and are tested, without ROS. A new node or client is added on purpose.
-ROS = {
-    "galen_bags.play",
-    "galen_bags.player",
-    "galen_bags.record",
-    "galen_bags.recorder",
-    "galen_bags.topics",
-    "galen_bringup",
-    "galen_calibration_behavior.calibrate",
-    "galen_calibration_behavior.node",
-    "galen_calibration_behavior.check",
-    "galen_calibration_behavior.calibration.action",
-    "galen_calibration_behavior.quick_check.action",
-    "galen_deflection.collection.command",
-    "galen_deflection.collection.node",
-    "galen_deflection.collection.recorder",
-    "galen_deflection.node",
-    "galen_gravcomp.node",
-    "galen_gravcomp.tool_services",
-    "galen_panel.ros",
-    "galen_ros.goal",
-    "galen_ros.messages",
-    "galen_ros.node",
-    "galen_ros.rclpy_workarounds",
-    "galen_ros.stream",
-    "galen_sim_driver.node",
-}
+# The modules of these packages, and of a package's folder `ros`, may need rclpy or messages. All
+# others are pure: they work, and are tested, without ROS.
+ROS_PACKAGES = {"galen_ros", "galen_bringup"}
 ROS_ROOTS = {"rclpy", "rcl_interfaces", "ament_index_python", "launch", "launch_ros", "std_srvs"}
 
-_SHARED = {"galen_model", "galen_msgs", "galen_ros", "galen_bags"}
+_SHARED = {"galen_model", "galen_common", "galen_msgs", "galen_ros", "galen_bags"}
 MAY_IMPORT = {
     "galen_model": set(),
-    "galen_ros": {"galen_model", "galen_msgs"},
-    "galen_bags": {"galen_model", "galen_msgs", "galen_ros"},
+    "galen_common": {"galen_model"},
+    "galen_ros": {"galen_model", "galen_common", "galen_msgs"},
+    "galen_bags": _SHARED,
     "galen_sim_driver": _SHARED,
     "galen_gravcomp": _SHARED,
     "galen_calibration_behavior": _SHARED,
@@ -100,7 +76,8 @@ def is_ros(name):
 
 
 def may_import_ros(name):
-    return any(name == room or name.startswith(f"{room}.") for room in ROS)
+    package, _, inside = name.partition(".")
+    return package in ROS_PACKAGES or inside.partition(".")[0] == "ros"
 
 
 @functools.cache
@@ -123,7 +100,7 @@ def ros_on_loading(name):
 @pytest.mark.parametrize("package", PACKAGES)
 def test_pure_modules_load_without_ros(package):
     pure = [m for m in modules() if m.split(".")[0] == package and not may_import_ros(m)]
-    assert pure or package in ROS
+    assert pure or package in ROS_PACKAGES
     assert {name: ros_on_loading(name) for name in pure if ros_on_loading(name)} == {}
 
 
@@ -133,10 +110,10 @@ def test_pure_modules_name_no_ros_import_anywhere():
     assert {name: names for name, names in found.items() if names} == {}
 
 
-def test_the_list_of_ros_modules_holds_none_that_is_pure_or_gone():
-    need_ros = [name for name in modules() if ros_on_loading(name)]
-    idle = [room for room in ROS if not any(f"{m}.".startswith(f"{room}.") for m in need_ros)]
-    assert idle == []
+def test_galen_ros_holds_nothing_that_needs_no_ros():
+    own = [name for name, path in modules().items() if path.name != "__init__.py"]
+    pure = [name for name in own if name.startswith("galen_ros.") and not ros_on_loading(name)]
+    assert pure == []
 
 
 def test_packages_import_only_layers_below():

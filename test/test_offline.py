@@ -8,7 +8,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from galen_ros.offline import COMMANDS
+from galen_common.offline import COMMANDS
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -24,7 +24,7 @@ class NoRos:
             raise ModuleNotFoundError(name, name=name)
 
 sys.meta_path.insert(0, NoRos())
-from galen_ros import offline
+from galen_common import offline
 """
 
 
@@ -91,7 +91,7 @@ def test_the_wheel_holds_modules_and_data_of_the_offline_packages(tmp_path):
     subprocess.run(command, check=True, capture_output=True, timeout=100)
     (wheel,) = tmp_path.glob("*.whl")
     held = set(zipfile.ZipFile(wheel).namelist())
-    for package in {module.partition(".")[0] for module, _ in COMMANDS.values()} | {"galen_ros"}:
+    for package in {module.partition(".")[0] for module, _ in COMMANDS.values()} | {"galen_common"}:
         for path in (ROOT / package / package).rglob("*"):
             if path.suffix in (".py", ".html", ".css", ".json"):
                 assert str(path.relative_to(ROOT / package)) in held

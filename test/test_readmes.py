@@ -8,17 +8,17 @@ import pytest
 import yaml
 from galen_bags.formats.bag import open_bag
 from galen_bags.formats.writer import BagWriter, GrowingBagWriter
-from galen_bags.player import PlayerNode, PlayOptions
-from galen_bags.recorder import RecorderNode
-from galen_calibration_behavior.node import CalibrationNode
-from galen_deflection.collection.node import CollectionNode
-from galen_deflection.node import DeflectionNode
-from galen_gravcomp.node import GravcompNode
+from galen_bags.ros.player import PlayerNode, PlayOptions
+from galen_bags.ros.recorder import RecorderNode
+from galen_calibration_behavior.ros.node import CalibrationNode
+from galen_common.cdr import wrench_bytes
+from galen_common.parameters import param_fields
+from galen_deflection.ros.collection_node import CollectionNode
+from galen_deflection.ros.node import DeflectionNode
+from galen_gravcomp.ros.node import GravcompNode
 from galen_panel.ros.suite import RosSuite
-from galen_ros.cdr import wrench_bytes
 from galen_ros.node.testing import Harness, parameters
-from galen_ros.parameters import param_fields
-from galen_sim_driver.node import SimDriverNode
+from galen_sim_driver.ros.node import SimDriverNode
 from rclpy.node import Node
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -14,12 +14,12 @@ from pathlib import Path
 
 import numpy as np
 from galen_bringup.measurements import TURNS
+from galen_common.stream.samples import Rejected
 from galen_gravcomp.compensator import Compensator
 from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import read_calibration
 from galen_model.load.model import TOOLS
-from galen_ros.stream.samples import Rejected
 from galen_sim_driver.plant.cell import Plant
 from galen_sim_driver.plant.config import PlantConfig
 from galen_sim_driver.plant.motion import Trajectory, TrajectoryPoint

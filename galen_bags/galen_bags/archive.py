@@ -38,7 +38,7 @@ _PLAIN_URL = re.compile(
     r"https://[^/@:?#]+(:\d+)?(/[^@?#]*)?|(?!https:)\w+://[^/@:]+(/.*)?", re.DOTALL
 )
 _COPY = f"galen_archive_{socket.gethostname()}_"
-# What says of a file that it has changed, by store.
+# Fields that change with a file's content, by store.
 _CHANGES = ("ETag", "etag", "md5Hash", "mtime", "LastModified", "last_modified")
 _LONGEST = 255  # bytes of a file's name
 _BATCH = 512

@@ -25,14 +25,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from galen_model.arm.arm import Arm
-from galen_model.arm.galen import GALEN
-from galen_model.arrays import Array
-from galen_model.errors import GalenError
-from galen_model.setup_check.check import SetupError, require_setup
-from galen_ros.arm import add_arm, chosen_arm
-from galen_ros.cdr import NS_PER_S, joint_state_bytes, wrench_bytes
-from galen_ros.command import (
+from galen_common.arm import add_arm, chosen_arm
+from galen_common.cdr import NS_PER_S, joint_state_bytes, wrench_bytes
+from galen_common.command import (
     EXIT_OK,
     add_table_columns,
     check_parent,
@@ -41,6 +36,11 @@ from galen_ros.command import (
     progress,
     run_command,
 )
+from galen_model.arm.arm import Arm
+from galen_model.arm.galen import GALEN
+from galen_model.arrays import Array
+from galen_model.errors import GalenError
+from galen_model.setup_check.check import SetupError, require_setup
 
 from galen_bags.arrays.arm_recording import JOINT_STATE_TYPE, WRENCH_TYPE
 from galen_bags.arrays.tables import (

@@ -10,7 +10,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
-from galen_ros.cdr import NS_PER_S
+from galen_common.cdr import NS_PER_S
 
 from galen_bags.formats.raw_block import Messages
 

@@ -7,7 +7,7 @@ import pytest
 from galen_bags.formats.bag import content_sha256
 from galen_bags.formats.errors import BagError
 from galen_bags.formats.writer import BagWriter
-from galen_ros.cdr import wrench_bytes
+from galen_common.cdr import wrench_bytes
 
 WRENCH = "geometry_msgs/msg/WrenchStamped"
 

@@ -8,7 +8,7 @@ import pytest
 from galen_bags.formats.bag import open_bag
 from galen_bags.formats.errors import BagError
 from galen_bags.formats.writer import GrowingBagWriter
-from galen_ros.cdr import wrench_bytes
+from galen_common.cdr import wrench_bytes
 from rosbags.rosbag2 import Reader
 
 WRENCH = "geometry_msgs/msg/WrenchStamped"

@@ -16,8 +16,8 @@ import psutil
 import pytest
 from galen_bags.formats.errors import BagError
 from galen_bags.many import run_many
+from galen_common.command import add_workers
 from galen_model.errors import GalenError
-from galen_ros.command import add_workers
 
 WAIT_S = 30.0
 NOTHING_SAID = 0.3  # s without an answer are enough to see that there is none
@@ -243,7 +243,7 @@ SCRIPT = """
 import sys, time
 from pathlib import Path
 from galen_bags.many import run_many
-from galen_ros.command import add_workers
+from galen_common.command import add_workers
 
 def work(bag):
     bag.touch()

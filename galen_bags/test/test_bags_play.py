@@ -12,11 +12,11 @@ import pytest
 from galen_bags.formats.bag import Bag, open_bag
 from galen_bags.formats.errors import BagError
 from galen_bags.formats.writer import BagWriter, GrowingBagWriter
-from galen_bags.play import main
-from galen_bags.player import PlayerNode, PlayOptions
-from galen_bags.recorder import RecorderNode
-from galen_bags.topics import definition_of, to_bag
-from galen_ros.cdr import wrench_bytes
+from galen_bags.ros.play import main
+from galen_bags.ros.player import PlayerNode, PlayOptions
+from galen_bags.ros.recorder import RecorderNode
+from galen_bags.ros.topics import definition_of, to_bag
+from galen_common.cdr import wrench_bytes
 from galen_ros.messages import LATCHED, STREAM
 from galen_ros.node.testing import Harness
 from geometry_msgs.msg import WrenchStamped
@@ -213,7 +213,7 @@ def test_types_that_are_not_installed_are_left_out(
             raise BagError(f"the type {type_name} is not installed here")
         return WrenchStamped
 
-    monkeypatch.setattr("galen_bags.player.message_class", uninstalled)
+    monkeypatch.setattr("galen_bags.ros.player.message_class", uninstalled)
     player = play(harness, opened, PlayOptions(rate=10.0))
     to_the_end(harness, player)
     assert player.left_out == {"/deflection": f"the type {DEFLECTION} is not installed here"}
@@ -254,7 +254,7 @@ def test_record_of_a_replay_is_the_bag_again(opened: Bag, tmp_path: Path) -> Non
 @pytest.mark.slow
 def test_the_command_plays_to_the_end(started: Any, path: Path) -> None:
     options = ("--json", "-r", "2", "--no-clock", "--ros-args", "-r", "wrench_raw:=x")
-    player = started("-m", "galen_bags.play", str(path), *options)
+    player = started("-m", "galen_bags.ros.play", str(path), *options)
     out, err = player.communicate(timeout=60.0)
     assert player.returncode == 0, err
     result = json.loads(out)
@@ -264,7 +264,7 @@ def test_the_command_plays_to_the_end(started: Any, path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_signal_ends_it(started: Any, path: Path) -> None:
-    player = started("-m", "galen_bags.play", str(path), "--loop")
+    player = started("-m", "galen_bags.ros.play", str(path), "--loop")
     # rclpy's own handlers are not used; ours are active before the node says a word.
     player.stderr.readline()
     player.send_signal(signal.SIGTERM)

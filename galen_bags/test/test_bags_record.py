@@ -15,9 +15,10 @@ from diagnostic_msgs.msg import DiagnosticArray
 from galen_bags.formats.bag import open_bag, robot_description
 from galen_bags.formats.errors import BagError
 from galen_bags.formats.writer import GrowingBagWriter
-from galen_bags.record import RecordRun, parse
-from galen_bags.recorder import RecorderNode, SimulatedTimes
-from galen_ros.cdr import joint_state_bytes, wrench_bytes
+from galen_bags.ros import record as record_command
+from galen_bags.ros.record import RecordRun, parse
+from galen_bags.ros.recorder import RecorderNode, SimulatedTimes
+from galen_common.cdr import joint_state_bytes, wrench_bytes
 from galen_ros.messages import LATCHED, STREAM
 from galen_ros.node.diagnostics import Level
 from galen_ros.node.testing import Harness
@@ -33,7 +34,6 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from galen_bags import record as record_command
 from galen_msgs.msg import DeflectionStamped
 
 S = 1_000_000_000
@@ -234,7 +234,7 @@ def test_what_can_not_be_recorded_does_not_disturb_the_rest(
             raise BagError(f"the type {type_name} is not installed here")
         return WrenchStamped
 
-    monkeypatch.setattr("galen_bags.recorder.message_class", uninstalled)
+    monkeypatch.setattr("galen_bags.ros.recorder.message_class", uninstalled)
     recorder = start(harness, bag, ("wrench_raw", "strange"))
     wrenches = publisher(harness, WrenchStamped, "wrench_raw")
     strange = publisher(harness, String, "strange")
@@ -360,7 +360,7 @@ def test_diagnostics_tell_what_is_missing(harness: Harness, bag: GrowingBagWrite
 SOURCE = """
 import sys
 import rclpy
-from galen_ros.cdr import wrench_bytes
+from galen_common.cdr import wrench_bytes
 from galen_ros.messages import STREAM
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
@@ -380,7 +380,7 @@ rclpy.spin(node)
 
 def record(started: Any, path: Path, *options: str) -> subprocess.Popen[str]:
     process: subprocess.Popen[str] = started(
-        "-m", "galen_bags.record", "wrench_raw", "-o", str(path), *options
+        "-m", "galen_bags.ros.record", "wrench_raw", "-o", str(path), *options
     )
     return process
 
@@ -440,7 +440,7 @@ def test_a_kill_leaves_all_but_the_last_second(started: Any, tmp_path: Path) -> 
 def test_a_full_disk_ends_it_with_one_line(started: Any, tmp_path: Path) -> None:
     """A limit on the size of files stands in for the disk: the system rejects the write."""
     program = (
-        "import resource, sys; from galen_bags.record import main;"
+        "import resource, sys; from galen_bags.ros.record import main;"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, 30_000));"
         f"sys.argv = ['record', 'wrench_raw', '-o', {str(tmp_path / 'bag')!r}]; sys.exit(main())"
     )

@@ -18,9 +18,13 @@ def report(stamps, logs, block=700):
     return check.report()
 
 
+def faults(found):
+    return found.gaps + found.jumps + found.duplicates + found.out_of_order + found.unstamped
+
+
 def test_a_clean_topic_is_sound():
     found = report(*clean())
-    assert found.sound
+    assert not faults(found)
     assert (found.count, found.events) == (5000, ())
     assert found.rate_hz == pytest.approx(500.0, abs=1e-9)
     assert found.period_s == 0.002
@@ -56,7 +60,6 @@ def test_duplicates_and_samples_out_of_order():
     stamps[[300, 301]] = stamps[[301, 300]]
     found = report(stamps, logs)
     assert (found.duplicates, found.out_of_order, found.jumps) == (1, 1, 0)
-    assert not found.sound
     assert {kind for kind, _, _ in found.events} >= {"duplicate", "out_of_order"}
 
 
@@ -85,7 +88,7 @@ def test_jitter_is_no_gap():
     stamps, _ = clean()
     stamps = stamps + rng.integers(-900_000, 900_000, len(stamps))
     found = report(stamps, stamps + rng.integers(0, 50_000_000, len(stamps)))
-    assert found.sound
+    assert not faults(found)
 
 
 def test_a_log_that_stood_still_makes_no_jump_of_regular_stamps():
@@ -93,5 +96,5 @@ def test_a_log_that_stood_still_makes_no_jump_of_regular_stamps():
     stamps, logs = clean()
     logs[2000:2200] = logs[2200]
     found = report(stamps, logs)
-    assert found.sound
+    assert not faults(found)
     assert found.delay_s[2] == pytest.approx(0.4003, abs=1e-9)

@@ -3,9 +3,9 @@
 from pathlib import Path
 
 import pytest
-from galen_bags.recorder import TopicCounts
-from galen_bags.topics import find_definition
-from galen_ros.command import own_arguments
+from galen_bags.ros.recorder import TopicCounts
+from galen_bags.ros.topics import find_definition
+from galen_common.command import own_arguments
 from rosbags.typesys import get_types_from_msg
 
 

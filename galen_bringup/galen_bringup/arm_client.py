@@ -8,11 +8,11 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
+from galen_common.cdr import JointWire
 from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.poses.plan import quintic_duration_s
-from galen_ros.cdr import JointWire
 from galen_ros.messages import STREAM, fill_stamp, stamp_to_ns, wrench_to_array
 from galen_ros.node.spin import make_executor
 from geometry_msgs.msg import WrenchStamped

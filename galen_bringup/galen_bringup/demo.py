@@ -20,11 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from galen_model.arm.galen import GALEN, WRENCH_AXES
-from galen_model.errors import GalenError
-from galen_model.files.atomic_file import save_figure
-from galen_model.load.model import ADAPTER, TOOLS, nominal_reading
-from galen_ros.command import (
+from galen_common.command import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
     EXIT_OK,
@@ -33,6 +29,10 @@ from galen_ros.command import (
     make_parser,
     whole,
 )
+from galen_model.arm.galen import GALEN, WRENCH_AXES
+from galen_model.errors import GalenError
+from galen_model.files.atomic_file import save_figure
+from galen_model.load.model import ADAPTER, TOOLS, nominal_reading
 from matplotlib.figure import Figure
 from rich.console import Console, Group
 from rich.live import Live

@@ -23,7 +23,7 @@ _ARM = {
 
 COMMON = {
     "namespace": ("", "of all nodes"),
-    **{argument: told[2:] for argument, told in _ARM.items()},
+    **{argument: fields[2:] for argument, fields in _ARM.items()},
     "enclaves": ("/galen", "where SROS 2 has the nodes' enclaves"),
     "tool": ("", "tool whose calibration gravcomp loads, and on a simulated arm; empty: none"),
     "tools_dir": ("~/.ros/galen/tools", "the calibration files"),

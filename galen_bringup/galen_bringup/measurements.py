@@ -12,12 +12,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from galen_common.goal.arrival import ArrivalSettings, MotionTimeoutError, PoseRecorder
 from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.rest.segments import PoseRecord, StillnessSettings
 from galen_model.rotation import matrix_to_rotvec
-from galen_ros.goal.arrival import ArrivalSettings, MotionTimeoutError, PoseRecorder
 from rich.progress import Progress
 
 from galen_bringup.arm_client import MAX_ACCELERATION, MAX_VELOCITY, ArmClient

@@ -21,16 +21,9 @@ from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
-from galen_model.arm.arm import Arm
-from galen_model.arm.clearance import ArmClearance
-from galen_model.arm.galen import GALEN, WRENCH_AXES
-from galen_model.arrays import Array
-from galen_model.errors import GalenError
-from galen_model.setup_check.check import check_setup
-from galen_model.setup_check.readings import at_angles, fit_load
-from galen_ros.arm import ArmParameters, add_arm, chosen_arm
-from galen_ros.cdr import JointStateError, JointWire, UnreadableError, WrenchWire
-from galen_ros.command import (
+from galen_common.arm import ArmParameters, add_arm, chosen_arm
+from galen_common.cdr import JointStateError, JointWire, UnreadableError, WrenchWire
+from galen_common.command import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
     EXIT_OK,
@@ -41,12 +34,19 @@ from galen_ros.command import (
     run_command,
     terminal,
 )
+from galen_common.stream.pairing import StreamParameters, WrenchPairing
+from galen_common.stream.samples import Notice, PairedWrench, Rejected, Rejection
+from galen_model.arm.arm import Arm
+from galen_model.arm.clearance import ArmClearance
+from galen_model.arm.galen import GALEN, WRENCH_AXES
+from galen_model.arrays import Array
+from galen_model.errors import GalenError
+from galen_model.setup_check.check import check_setup
+from galen_model.setup_check.readings import at_angles, fit_load
 from galen_ros.messages import LATCHED, publisher_nodes
 from galen_ros.node.parameters import declare_parameters
 from galen_ros.node.spin import run_until
-from galen_ros.stream.node import input_qos
-from galen_ros.stream.pairing import StreamParameters, WrenchPairing
-from galen_ros.stream.samples import Notice, PairedWrench, Rejected, Rejection
+from galen_ros.node.stream_node import input_qos
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy

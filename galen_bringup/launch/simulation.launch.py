@@ -10,7 +10,7 @@ from typing import Any, List  # noqa: UP035
 
 from ament_index_python.packages import get_packages_with_prefixes
 from galen_bringup.launch_arguments import COMMON, arm_parameters, declare, enclave
-from galen_ros.arm import ArmParameters
+from galen_common.arm import ArmParameters
 from launch import LaunchContext, LaunchDescription
 from launch.actions import IncludeLaunchDescription, LogInfo, OpaqueFunction
 from launch.conditions import IfCondition

@@ -6,8 +6,8 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
-from galen_ros.arm import ArmParameters
-from galen_ros.parameters import param_fields
+from galen_common.arm import ArmParameters
+from galen_common.parameters import param_fields
 
 LAUNCH = Path(__file__).resolve().parent.parent / "launch"
 

@@ -20,12 +20,12 @@ from galen_bringup.preflight import (
     main,
     sample_checks,
 )
+from galen_common.stream.pairing import StreamParameters
 from galen_model.arm.description import read_arm
 from galen_model.load.model import Load, gravity_wrench
 from galen_ros.messages import LATCHED, STREAM, fill_stamp, fill_wrench
+from galen_ros.node.stream_node import input_qos
 from galen_ros.node.testing import Harness
-from galen_ros.stream.node import input_qos
-from galen_ros.stream.pairing import StreamParameters
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 from rclpy.serialization import serialize_message

@@ -10,20 +10,20 @@ from xml.etree import ElementTree
 import pytest
 import rclpy
 from galen_bags.formats.writer import GrowingBagWriter
-from galen_bags.recorder import RecorderNode
-from galen_calibration_behavior.calibrate import CalibrateClient
-from galen_calibration_behavior.check import CheckClient
-from galen_calibration_behavior.node import CalibrationNode
-from galen_deflection.collection import node as collection_node
-from galen_deflection.collection.command import CollectClient
-from galen_deflection.collection.node import CollectionNode
+from galen_bags.ros.recorder import RecorderNode
+from galen_calibration_behavior.ros.calibrate import CalibrateClient
+from galen_calibration_behavior.ros.check import CheckClient
+from galen_calibration_behavior.ros.node import CalibrationNode
+from galen_common.goal.procedure import PoseProcedure
 from galen_deflection.collection.procedure import CollectionProcedure
-from galen_deflection.node import DeflectionNode
-from galen_gravcomp.node import GravcompNode
+from galen_deflection.ros import collection_node
+from galen_deflection.ros.collect import CollectClient
+from galen_deflection.ros.collection_node import CollectionNode
+from galen_deflection.ros.node import DeflectionNode
+from galen_gravcomp.ros.node import GravcompNode
 from galen_panel.ros.suite import RosSuite
-from galen_ros.goal.procedure import PoseProcedure
 from galen_ros.node.testing import Harness, parameters
-from galen_sim_driver.node import SimDriverNode
+from galen_sim_driver.ros.node import SimDriverNode
 from rclpy.node import Node
 
 POLICIES = Path(__file__).resolve().parent.parent / "config" / "sros2"

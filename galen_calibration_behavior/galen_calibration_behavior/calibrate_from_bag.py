@@ -15,6 +15,18 @@ from galen_bags.arrays.arm_recording import arm_of_bag, topics_of
 from galen_bags.formats.bag import open_bag
 from galen_bags.formats.errors import BagError
 from galen_bags.formats.files import is_bag
+from galen_common.arm import add_arm, arm_parameters, chosen_arm, names_of_joints
+from galen_common.command import (
+    EXIT_FAILED,
+    EXIT_OK,
+    add_arm_topics,
+    add_json,
+    add_wrench_frame,
+    make_parser,
+    positive,
+    run_command,
+)
+from galen_common.parameters import ParameterError, checked, param_fields
 from galen_model.arm.arm import Arm
 from galen_model.arm.clearance import ObstacleError
 from galen_model.arrays import Array
@@ -25,18 +37,6 @@ from galen_model.load.mounting import GROUPS, entities
 from galen_model.load.pose_order import drift_price
 from galen_model.poses.design import compensation_std, reading_noise
 from galen_model.poses.plan import order_poses, plan_as_is
-from galen_ros.arm import add_arm, arm_parameters, chosen_arm, names_of_joints
-from galen_ros.command import (
-    EXIT_FAILED,
-    EXIT_OK,
-    add_arm_topics,
-    add_json,
-    add_wrench_frame,
-    make_parser,
-    positive,
-    run_command,
-)
-from galen_ros.parameters import ParameterError, checked, param_fields
 
 from galen_calibration_behavior.common.parameters import CalibrationParameters
 from galen_calibration_behavior.from_bag.loads import estimate_loads

@@ -9,13 +9,13 @@ from calibration_fake_arm import ADAPTER, NO_TOOL, POINTER, FakeArm
 from check_pointer_file import POINTER_FILE
 from galen_calibration_behavior.common.commands import CalibrationCode, CheckCode, PoseFeedback
 from galen_calibration_behavior.common.parameters import CalibrationParameters
+from galen_common.goal.procedure import MoveTo
+from galen_common.parameters import ParameterError
 from galen_model.arm.description import read_arm
 from galen_model.errors import GalenError, NotExcitedError
 from galen_model.evidence.verdict import CheckAnswer
 from galen_model.files.calibration_file import zeroed_at
 from galen_model.load.identification import identify_two_sweeps
-from galen_ros.goal.procedure import MoveTo
-from galen_ros.parameters import ParameterError
 from test_calibration_procedure import World, failed
 from test_check_procedure import Course
 

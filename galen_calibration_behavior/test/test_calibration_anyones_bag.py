@@ -14,12 +14,12 @@ from galen_bags.formats.writer import BagWriter
 from galen_calibration_behavior.calibrate_from_bag import main
 from galen_calibration_behavior.common.parameters import CalibrationParameters
 from galen_calibration_behavior.from_bag.visits import find_visits
+from galen_common.arm import ArmParameters
+from galen_common.cdr import joint_state_bytes, wrench_bytes
 from galen_model.arm.description import read_arm
 from galen_model.arm.galen import SENSOR
 from galen_model.errors import GalenError
 from galen_model.load.model import ADAPTER, TOOLS, gravity_wrench
-from galen_ros.arm import ArmParameters
-from galen_ros.cdr import joint_state_bytes, wrench_bytes
 
 URDF = (Path(__file__).parents[2] / "galen_bringup/urdf/six_axis.urdf").read_text()
 ARM = read_arm(URDF, sensor_frame="tool0")

@@ -23,12 +23,12 @@ from galen_calibration_behavior.common.commands import (
     ZeroSensor,
 )
 from galen_calibration_behavior.common.parameters import CalibrationParameters
+from galen_common.goal.procedure import MoveTo, Stop
 from galen_model.arm.description import read_arm
 from galen_model.arm.galen import SENSOR
 from galen_model.load.model import ADAPTER, TOOLS, gravity_wrench
 from galen_model.load.readings import single_load_design
 from galen_model.poses.design import compensation_std_under
-from galen_ros.goal.procedure import MoveTo, Stop
 
 ARM = read_arm((Path(__file__).parents[2] / "galen_bringup/urdf/six_axis.urdf").read_text())
 SETTINGS = CalibrationParameters(

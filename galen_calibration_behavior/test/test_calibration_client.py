@@ -11,9 +11,9 @@ import time
 
 import pytest
 from calibration_fake_arm import POINTER
-from galen_calibration_behavior.calibrate import parse
 from galen_calibration_behavior.calibration.estimate import format_result
-from galen_ros.command import EXIT_USAGE
+from galen_calibration_behavior.ros.calibrate import parse
+from galen_common.command import EXIT_USAGE
 from galen_ros.goal.client import result_to_dict
 from galen_ros.node.testing import Harness
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
@@ -62,7 +62,7 @@ class Process:
 
 
 def calibrate(harness, *arguments, **options):
-    return Process(harness, "galen_calibration_behavior.calibrate", *arguments, **options)
+    return Process(harness, "galen_calibration_behavior.ros.calibrate", *arguments, **options)
 
 
 @pytest.fixture
@@ -213,7 +213,7 @@ def test_a_node_ended_by_a_signal_stops_the_arm_and_its_client_hears_of_it(tmp_p
     with Harness() as harness:
         driver = harness.add(lambda context: FakeDriver(context))
         with (
-            Process(harness, "galen_calibration_behavior.node", *arguments) as node,
+            Process(harness, "galen_calibration_behavior.ros.node", *arguments) as node,
             calibrate(harness, "pointer") as client,
         ):
             harness.wait_for(lambda: driver.moves > 3, 30.0, "some poses")

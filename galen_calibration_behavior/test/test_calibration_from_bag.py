@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from galen_calibration_behavior.calibrate_from_bag import main, parse
 from galen_calibration_behavior.from_bag.loads import sample_time
+from galen_common.command import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_USAGE
 from galen_model.arm.galen import GALEN
 from galen_model.files.calibration_file import read_calibration
 from galen_model.load.model import ADAPTER, TOOLS
-from galen_ros.command import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_USAGE
 
 BAGS = Path(__file__).resolve().parents[2] / "bags"
 POINTER_BAG = str(BAGS / "pointer_calibration")

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from galen_bags.formats.writer import BagWriter
 from galen_calibration_behavior.calibrate_from_bag import main
+from galen_common.cdr import joint_state_bytes, wrench_bytes
+from galen_common.command import EXIT_FAILED, EXIT_USAGE
 from galen_model.arm.galen import ENCODER_QUANTUM, GALEN, SENSOR
 from galen_model.arm.sensor_motion import sensor_motion
 from galen_model.files.calibration_file import (
@@ -16,8 +18,6 @@ from galen_model.files.calibration_file import (
 )
 from galen_model.load.inertia import inertial_wrench, point_mass_inertia
 from galen_model.load.model import ADAPTER, TOOLS, LoadEstimate
-from galen_ros.cdr import joint_state_bytes, wrench_bytes
-from galen_ros.command import EXIT_FAILED, EXIT_USAGE
 
 LOAD = TOOLS["retractor"].load
 INERTIA = point_mass_inertia(LOAD, ADAPTER) + np.array([3e-4, 5e-4, 4e-4, 2e-5, -4e-5, 1e-5])

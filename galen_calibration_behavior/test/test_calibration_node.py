@@ -14,7 +14,7 @@ from galen_calibration_behavior.calibration.estimate import EstimateError, estim
 from galen_calibration_behavior.common.commands import CalibrationCode as ErrorCode
 from galen_calibration_behavior.common.commands import CalibrationState as State
 from galen_calibration_behavior.common.commands import CheckCode, CheckState
-from galen_calibration_behavior.node import CalibrationNode
+from galen_calibration_behavior.ros.node import CalibrationNode
 from galen_model.arm.galen import GALEN
 from galen_model.files.calibration_file import read_calibration
 from galen_ros.messages import STREAM, fill_stamp, fill_wrench
@@ -236,7 +236,7 @@ def test_nothing_is_written_where_it_ends_while_models_are_compared(world, monke
         assert go_on.wait(30.0)
         return estimate(*arguments, **options)
 
-    monkeypatch.setattr("galen_calibration_behavior.calibration.action.estimate", held)
+    monkeypatch.setattr("galen_calibration_behavior.ros.calibration_action.estimate", held)
     warmth = world.client_node.create_publisher(Temperature, "temperature", 10)
     world.client_node.create_timer(0.02, lambda: warmth.publish(Temperature(temperature=25.0)))
     handle = world.send(iters_t=2, iters_r=4)
@@ -472,7 +472,7 @@ def test_a_bug_ends_the_goal_and_not_the_node(world, monkeypatch):
     world.fails(handle, ErrorCode.INTERNAL, "ZeroDivisionError: a bug")
     assert world.driver.stops == 1
     world.harness.call_in_executor(lambda: delattr(world.node._arm, "move"))
-    monkeypatch.setattr("galen_calibration_behavior.calibration.action.estimate", bug)
+    monkeypatch.setattr("galen_calibration_behavior.ros.calibration_action.estimate", bug)
     world.fails(world.send(iters_t=2, iters_r=4), ErrorCode.INTERNAL, "ZeroDivisionError: a bug")
     world.fails(world.send(tool="../drill"), ErrorCode.INVALID_NAME, "drill")
 

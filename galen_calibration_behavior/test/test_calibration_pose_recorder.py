@@ -3,15 +3,15 @@ import dataclasses
 import numpy as np
 import pytest
 from calibration_fake_arm import FakeArm
-from galen_model.arm.galen import GALEN
-from galen_model.rest.segments import PoseRecord, StillnessSettings, wrench_fault
-from galen_ros.goal.arrival import (
+from galen_common.goal.arrival import (
     ArrivalSettings,
     MotionTimeoutError,
     PoseRecorder,
     PoseRejection,
     StampsError,
 )
+from galen_model.arm.galen import GALEN
+from galen_model.rest.segments import PoseRecord, StillnessSettings, wrench_fault
 
 ARRIVAL = ArrivalSettings(
     position_tolerance=np.array([5e-4] * 3 + [3e-3] * 2),

@@ -19,8 +19,8 @@ from galen_calibration_behavior.common.commands import (
 from galen_calibration_behavior.common.commands import CalibrationCode as ErrorCode
 from galen_calibration_behavior.common.commands import CalibrationState as State
 from galen_calibration_behavior.common.parameters import CalibrationParameters
+from galen_common.goal.procedure import MoveTo, Stop
 from galen_model.arm.galen import GALEN
-from galen_ros.goal.procedure import MoveTo, Stop
 
 SETTINGS = CalibrationParameters(
     settle_s=0.1,

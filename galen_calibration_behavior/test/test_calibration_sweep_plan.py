@@ -10,6 +10,7 @@ from calibration_fake_arm import FakeArm
 from galen_calibration_behavior.calibrate_from_bag import main
 from galen_calibration_behavior.common.commands import CalibrationCode
 from galen_calibration_behavior.common.parameters import CalibrationParameters
+from galen_common.parameters import ParameterError
 from galen_model.arm.clearance import ArmClearance, ObstacleError, boxes_from_numbers
 from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError, NotExcitedError
@@ -27,7 +28,6 @@ from galen_model.poses.plan import (
     quintic_duration_s,
     sweep_grid,
 )
-from galen_ros.parameters import ParameterError
 from test_calibration_procedure import World
 
 GRID = CalibrationParameters()

@@ -7,11 +7,11 @@ import pytest
 from calibration_tape import NO_TOOL, NS, POINTER, Tape, grid
 from galen_calibration_behavior.common.parameters import CalibrationParameters
 from galen_calibration_behavior.from_bag.visits import find_visits
+from galen_common.goal.arrival import PoseRejection
 from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
 from galen_model.load.model import ADAPTER, gravity_wrench
 from galen_model.rest.segments import PoseRecord
-from galen_ros.goal.arrival import PoseRejection
 
 SETTINGS = CalibrationParameters()
 POSES = grid()

@@ -9,9 +9,9 @@ from action_msgs.msg import GoalStatus
 from calibration_fake_arm import NO_TOOL, POINTER
 from check_pointer_file import POINTER_FILE
 from diagnostic_msgs.msg import DiagnosticArray
-from galen_calibration_behavior.check import format_result, parse, result_fields
 from galen_calibration_behavior.common.commands import CheckCode as ErrorCode
-from galen_calibration_behavior.node import CalibrationNode
+from galen_calibration_behavior.ros.check import format_result, parse, result_fields
+from galen_calibration_behavior.ros.node import CalibrationNode
 from galen_model.evidence.verdict import Cause, CheckAnswer
 from galen_model.files.calibration_file import write_calibration
 from galen_ros.messages import LATCHED

@@ -1,7 +1,7 @@
 """A model on live samples: wrenches and joints go in, deflections come out. No ROS.
 
 Each wrench pushed ends in exactly one way: as a `Deflected`, or as a `Rejected` that names the
-reason. Which joints belong to a wrench is for `galen_ros.stream.pairing` to say, as for the
+reason. Which joints belong to a wrench is for `galen_common.stream.pairing` to say, as for the
 compensator.
 
 A model with hysteresis remembers the loads that it was given, in their order. Whatever makes that
@@ -19,13 +19,13 @@ from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
+from galen_common.parameters import param
+from galen_common.stream.pairing import StreamParameters, WrenchPairing
+from galen_common.stream.samples import PairedWrench, Rejected
 from galen_model.arm.arm import Arm
 from galen_model.arrays import Array
 from galen_model.errors import KinematicsError
 from galen_model.rotation import matrix_to_quaternion
-from galen_ros.parameters import param
-from galen_ros.stream.pairing import StreamParameters, WrenchPairing
-from galen_ros.stream.samples import PairedWrench, Rejected
 
 from galen_deflection.models.file import DeflectionModel
 from galen_deflection.models.interface import Predicted
@@ -66,7 +66,7 @@ class DeflectionParameters(StreamParameters):
 
 
 class ModelRejection(Enum):
-    """Why a deflection was not predicted, beside `galen_ros.stream.samples.Rejection`."""
+    """Why a deflection was not predicted, beside `galen_common.stream.samples.Rejection`."""
 
     NO_MODEL = "no_model"
     OTHER_TIP = "other_tip"  # the model was fitted for another tool's tip

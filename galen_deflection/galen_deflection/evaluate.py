@@ -12,11 +12,8 @@ from typing import Any
 import numpy as np
 from galen_bags.formats.files import find_bags
 from galen_bags.many import distinct_names
-from galen_model.arm.arm import Arm
-from galen_model.errors import GalenError
-from galen_model.files.calibration_file import CalibrationFile
-from galen_ros.arm import chosen_arm
-from galen_ros.command import (
+from galen_common.arm import chosen_arm
+from galen_common.command import (
     EXIT_FAILED,
     EXIT_OK,
     add_json,
@@ -29,6 +26,9 @@ from galen_ros.command import (
     terminal,
     writing,
 )
+from galen_model.arm.arm import Arm
+from galen_model.errors import GalenError
+from galen_model.files.calibration_file import CalibrationFile
 
 from galen_deflection.measurement.measured_deflection import (
     Recording,

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections import deque
 
 import numpy as np
+from galen_common.stream.monitor import RATE_WINDOW_S, Severity, StreamMonitor, StreamState, joined
+from galen_common.stream.samples import Rejection
 from galen_model.arrays import Array
-from galen_ros.stream.monitor import RATE_WINDOW_S, Severity, StreamMonitor, StreamState, joined
-from galen_ros.stream.samples import Rejection
 
 from galen_deflection.deflector import Deflector, ModelRejection
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from galen_ros.command import (
+from galen_common.command import (
     EXIT_OK,
     add_bags,
     add_json,

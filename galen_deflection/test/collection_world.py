@@ -5,11 +5,11 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-from galen_deflection.collection.node import CollectionNode
-from galen_gravcomp.node import GravcompNode
+from galen_deflection.ros.collection_node import CollectionNode
+from galen_gravcomp.ros.node import GravcompNode
 from galen_model.arm.galen import GALEN
 from galen_ros.node.testing import parameters
-from galen_sim_driver.node import SimDriverNode
+from galen_sim_driver.ros.node import SimDriverNode
 from rclpy.action import ActionClient
 from rclpy.node import Node
 

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 from galen_bags.formats.writer import BagWriter
+from galen_common.cdr import joint_state_bytes, pose_bytes, wrench_bytes
 from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN, SENSOR
 from galen_model.calibrated.prediction import Prediction
 from galen_model.files.calibration_file import CalibrationFile, read_calibration
 from galen_model.registration import IDENTITY, Transform, move_wrench
 from galen_model.rotation import matrix_to_quaternion, rotvec_to_matrix
-from galen_ros.cdr import joint_state_bytes, pose_bytes, wrench_bytes
 
 ROOT = Path(__file__).resolve().parents[2]
 TOOL = read_calibration(ROOT / "bags" / "tools" / "retractor.json", arm=GALEN)

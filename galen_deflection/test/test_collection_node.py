@@ -13,17 +13,17 @@ from action_msgs.msg import GoalStatus
 from collection_world import POSITIONS, CollectionWorld
 from diagnostic_msgs.msg import DiagnosticArray
 from galen_bags.formats.bag import open_bag
-from galen_deflection.collection.command import format_result, parse, result_fields
+from galen_common.command import EXIT_USAGE
 from galen_deflection.collection.plan import ErrorCode, State
 from galen_deflection.measurement.measured_deflection import measure_deflection
 from galen_deflection.measurement.push_recording import read_pushes
 from galen_deflection.measurement.samples import find_pushes
 from galen_deflection.models.spring_fit import fit_stiffness
 from galen_deflection.models.springs import kinds, tip_wrench
+from galen_deflection.ros.collect import format_result, parse, result_fields
 from galen_deflection.scoring.cross_check import report_splits, sets_of
 from galen_model.arm.galen import GALEN
 from galen_model.files.calibration_file import read_calibration
-from galen_ros.command import EXIT_USAGE
 from galen_ros.node.testing import Harness
 
 from galen_msgs.action import CollectPushes
@@ -238,7 +238,7 @@ def test_the_client_from_end_to_end_and_its_ctrl_c(tmp_path):
             [
                 sys.executable,
                 "-m",
-                "galen_deflection.collection.command",
+                "galen_deflection.ros.collect",
                 "--tool",
                 "retractor",
                 *arguments,

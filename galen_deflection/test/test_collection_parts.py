@@ -6,7 +6,6 @@ import math
 import numpy as np
 import pytest
 from collection_fake_arm import TIP
-from galen_deflection.collection.node import summary
 from galen_deflection.collection.plan import (
     CollectionParameters,
     ErrorCode,
@@ -17,9 +16,10 @@ from galen_deflection.collection.plan import (
     WantedPush,
     make_plan,
 )
-from galen_deflection.collection.recorder import CollectionFolder
 from galen_deflection.collection.watches import MarkerPoses, PushWatch
 from galen_deflection.measurement.samples import DeflectionError
+from galen_deflection.ros.collection_node import summary
+from galen_deflection.ros.recorder import CollectionFolder
 from galen_model.arm.galen import GALEN
 from galen_model.errors import ToolNameError
 from galen_model.files.calibration_file import read_calibration

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from collection_fake_arm import BASE_IN_TRACKER, TIP, FakeArm, Hand
+from galen_common.goal.procedure import MoveTo, Stop
 from galen_deflection.collection.plan import (
     CollectionParameters,
     ErrorCode,
@@ -16,7 +17,6 @@ from galen_deflection.collection.plan import (
     make_plan,
 )
 from galen_deflection.collection.procedure import CollectionProcedure
-from galen_ros.goal.procedure import MoveTo, Stop
 
 
 @dataclasses.dataclass(frozen=True)

@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio
 import pytest
 from deflection_synthetic import FORCES_N, NOISE, script
+from galen_common.goal.procedure import MoveTo
 from galen_deflection.collection.plan import (
     CollectionParameters,
     ErrorCode,
@@ -26,7 +27,6 @@ from galen_model.arm.description import read_arm
 from galen_model.arm.galen import GALEN
 from galen_model.files.calibration_file import write_calibration, zeroed_at
 from galen_model.play import PlayOperators
-from galen_ros.goal.procedure import MoveTo
 from push_bag import TOOL, Scene, write
 
 URDF_FILE = Path(__file__).parents[2] / "galen_bringup" / "urdf" / "six_axis.urdf"

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from galen_common.command import EXIT_FAILED, EXIT_OK
 from galen_deflection.measurement.samples import DeflectionError
 from galen_deflection.models.file import KINDS, read_model
 from galen_model.arm.galen import GALEN
 from galen_model.files.calibration_file import write_calibration
-from galen_ros.command import EXIT_FAILED, EXIT_OK
 from push_bag import POSITIONS, ROOT, TOOL, Scene, write
 
 from galen_deflection import evaluate, train

@@ -69,7 +69,7 @@ def test_only_a_training_loads_torch():
         "        if name.partition('.')[0] == 'torch':\n"
         "            raise ModuleNotFoundError(name)\n"
         "sys.meta_path.insert(0, NoTorch())\n"
-        "import galen_deflection.evaluate, galen_deflection.node\n"
+        "import galen_deflection.evaluate, galen_deflection.ros.node\n"
         "from galen_deflection.models.file import KINDS\n"
         "from deflection_synthetic import recording\n"
         "samples = recording(sets=1, rate_hz=10.0)\n"

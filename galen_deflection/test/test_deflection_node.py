@@ -8,8 +8,8 @@ from deflection_made_model import made_model
 from deflection_synthetic import TIP_M, recording
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from galen_deflection.models.file import KINDS, write_model
-from galen_deflection.node import DeflectionNode
-from galen_gravcomp.node import GravcompNode
+from galen_deflection.ros.node import DeflectionNode
+from galen_gravcomp.ros.node import GravcompNode
 from galen_model.arm.galen import GALEN
 from galen_model.files.calibration_file import (
     CalibrationFile,

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from deflection_made_model import made_model
 from deflection_synthetic import TIP_M, recording
+from galen_common.stream.monitor import NOTICE_HOLD_S, Severity
+from galen_common.stream.samples import Rejected, Rejection
 from galen_deflection.deflector import (
     Deflected,
     DeflectionParameters,
@@ -19,8 +21,6 @@ from galen_model.arm.galen import GALEN
 from galen_model.load.model import TOOLS
 from galen_model.registration import Transform
 from galen_model.rotation import quaternion_to_matrix
-from galen_ros.stream.monitor import NOTICE_HOLD_S, Severity
-from galen_ros.stream.samples import Rejected, Rejection
 
 MS = 1_000_000
 START = 100_000 * MS

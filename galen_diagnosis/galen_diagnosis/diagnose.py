@@ -30,16 +30,8 @@ from galen_bags.archive import (
 from galen_bags.arrays.joint_table import add_column_options, joint_columns, read_joint_runs
 from galen_bags.arrays.tables import ORIENTATIONS, read_table, read_text_table, still_readings
 from galen_bags.many import ArchivedRecording, Place, name_depth, name_of, run_many
-from galen_model.arm.galen import GALEN, WRENCH_AXES
-from galen_model.arrays import Array
-from galen_model.errors import GalenError
-from galen_model.evidence.held_out import BlockRows, Effects
-from galen_model.files.calibration_file import read_calibration
-from galen_model.load.inertia import point_mass_inertia
-from galen_model.setup_check.check import SetupError, check_setup
-from galen_model.transmission import time_blocks, whole_runs
-from galen_ros.arm import add_arm, chosen_arm
-from galen_ros.command import (
+from galen_common.arm import add_arm, chosen_arm
+from galen_common.command import (
     EXIT_FAILED,
     EXIT_OK,
     ProgressLine,
@@ -56,6 +48,14 @@ from galen_ros.command import (
     run_command,
     terminal,
 )
+from galen_model.arm.galen import GALEN, WRENCH_AXES
+from galen_model.arrays import Array
+from galen_model.errors import GalenError
+from galen_model.evidence.held_out import BlockRows, Effects
+from galen_model.files.calibration_file import read_calibration
+from galen_model.load.inertia import point_mass_inertia
+from galen_model.setup_check.check import SetupError, check_setup
+from galen_model.transmission import time_blocks, whole_runs
 from galen_sim_driver.effects.effect import ConfigError, Effect
 from galen_sim_driver.effects.load import InertialLoad, ToolMassError
 from rich.console import Console
@@ -136,7 +136,7 @@ class Job:
         return self.diagnose(recording, lambda stage, share: None).answer.to_json()
 
     def diagnose(self, place: Place, progress: Callable[[str, float], None]) -> Diagnosis:
-        """Diagnose and write; raises GalenError. progress: told each stage, and what is done."""
+        """Diagnose and write; raises GalenError. progress: called with stage and share."""
         folder = self.folders.get(place)
         if self.output is not None:
             folder = self.output / f"diagnosis_{name_of(place, self.name_parts)}"

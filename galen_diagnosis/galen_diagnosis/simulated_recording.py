@@ -33,6 +33,9 @@ from pathlib import Path
 import numpy as np
 from galen_bags.arrays.arm_recording import JOINT_STATE_TYPE, POSE_TYPE, WRENCH_TYPE
 from galen_bags.formats.writer import BagWriter
+from galen_common.arm import add_arm, chosen_arm
+from galen_common.cdr import joint_state_bytes, pose_bytes, wrench_bytes
+from galen_common.command import EXIT_OK, make_parser, run_command, writing
 from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN, SENSOR, TRACKER_FRAME
 from galen_model.arrays import Array, evenly_spread
@@ -40,9 +43,6 @@ from galen_model.errors import GalenError
 from galen_model.files.calibration_file import CalibrationFile, write_calibration, zeroed_at
 from galen_model.load.model import Load, LoadEstimate
 from galen_model.poses.plan import quintic_duration_s
-from galen_ros.arm import add_arm, chosen_arm
-from galen_ros.cdr import joint_state_bytes, pose_bytes, wrench_bytes
-from galen_ros.command import EXIT_OK, make_parser, run_command, writing
 from galen_sim_driver.effects.effect import BAG_ORDER, Effect
 from galen_sim_driver.effects.joints import JointGain
 from galen_sim_driver.effects.registry import contract_parameters, identities
@@ -159,8 +159,8 @@ def make_recording(
         with writing(target):
             session.record(bags)
             if truth:
-                told = [{"effect": e.name, "parameters": contract_parameters(e)} for e in effects]
-                text = json.dumps({"effects": told}, indent=1)
+                added = [{"effect": e.name, "parameters": contract_parameters(e)} for e in effects]
+                text = json.dumps({"effects": added}, indent=1)
                 (work / "truth.json").write_text(text, encoding="utf-8")
             work.chmod(0o755)  # mkdtemp's are the owner's alone
             os.replace(work, target)

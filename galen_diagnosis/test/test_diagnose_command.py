@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from diagnosis_example import example_diagnosis
 from galen_bags.formats.writer import BagWriter
+from galen_common.cdr import joint_state_bytes, wrench_bytes
 from galen_diagnosis.observation.recording import DiagnosticRecording
 from galen_diagnosis.report import report
 from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import read_calibration
-from galen_ros.cdr import joint_state_bytes, wrench_bytes
 from matplotlib import pyplot as plt
 
 from galen_diagnosis import diagnose

@@ -7,9 +7,10 @@ import json
 from pathlib import Path
 
 import pytest
-from galen_diagnosis.blind.answers import flat, read_answer
 from galen_diagnosis.diagnose import main
 from galen_sim_driver.effects.registry import identity_of
+
+from galen_validation.blind.answers import flat, read_answer
 
 RECORDINGS = Path(__file__).resolve().parents[2].parent / "shared" / "recordings"
 FOUND = (

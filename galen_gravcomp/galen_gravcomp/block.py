@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from galen_bags.arrays.arm_recording import Samples
+from galen_common.stream.regular_run import Arrivals
+from galen_common.stream.samples import PairedWrench, Rejected, Result
 from galen_model.arrays import Array
-from galen_ros.stream.regular_run import Arrivals
-from galen_ros.stream.samples import PairedWrench, Rejected, Result
 
 if TYPE_CHECKING:
     from galen_gravcomp.compensator import Compensator

@@ -7,7 +7,7 @@
 All but the weight is optional. A correction sees each sample once, in the order of its arrival, by
 its stamp. Samples are pushed one by one or in blocks, which gives the same. Live node and offline
 evaluation feed the same class. Which angles belong to a wrench, and which wrench is rejected, is
-`galen_ros.stream.pairing`'s.
+`galen_common.stream.pairing`'s.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,15 +15,15 @@ from dataclasses import replace
 
 import numpy as np
 from galen_bags.arrays.arm_recording import Samples
+from galen_common.stream.pairing import WrenchPairing
+from galen_common.stream.regular_run import Arrivals
+from galen_common.stream.samples import PairedWrench, Rejected, Rejection, Result
 from galen_model.arm.arm import Arm
 from galen_model.arrays import Array
 from galen_model.calibrated.prediction import Prediction
 from galen_model.errors import GalenError
 from galen_model.evidence.verdict import Limits
 from galen_model.files.calibration_file import CalibrationFile
-from galen_ros.stream.pairing import WrenchPairing
-from galen_ros.stream.regular_run import Arrivals
-from galen_ros.stream.samples import PairedWrench, Rejected, Rejection, Result
 
 from galen_gravcomp.block import BlockResult, push_block
 from galen_gravcomp.calibration_monitor import CalibrationMonitor

@@ -1,7 +1,7 @@
 """The health of the compensator's node: state, rates, latency. No ROS."""
 
-from galen_ros.stream.monitor import Severity, StreamMonitor, StreamState, joined
-from galen_ros.stream.samples import Rejection
+from galen_common.stream.monitor import Severity, StreamMonitor, StreamState, joined
+from galen_common.stream.samples import Rejection
 
 from galen_gravcomp.compensator import Compensator
 

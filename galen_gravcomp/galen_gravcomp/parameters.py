@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 
+from galen_common.parameters import param
+from galen_common.stream.pairing import StreamParameters
 from galen_model.evidence.verdict import Limits
-from galen_ros.parameters import param
-from galen_ros.stream.pairing import StreamParameters
 
 _MOTIONS = ("off", "joints", "imu")
 _SETUP_CHECKS = ("stop", "wait", "off")

@@ -31,7 +31,7 @@ _REMEMBERED = 8
 _OFF = 0.5  # of the expected reading, of forces or torques: what contradicts
 _FITS = 0.15  # and what fits
 _FITS_N, _FITS_NM = 0.2, 0.01  # or so much of an offset
-_MOST_TOLD = 3
+_MOST_NAMED = 3
 
 
 @dataclass(frozen=True)
@@ -150,11 +150,11 @@ class SetupVerification:
             return f"wrong: {self.contradiction}"
         if self.verified:
             return "verified"
-        told = f"not yet verified: fits at rest in {self.fitting} of {ORIENTATIONS} orientations"
+        state = f"not yet verified: fits at rest in {self.fitting} of {ORIENTATIONS} orientations"
         if self._segments and not self._segments[-1].fits:
             off = np.linalg.norm(self._segments[-1].output[:3])
-            told += f", {off:.2g} N off in the last; without contact zero or tare the sensor"
-        return told
+            state += f", {off:.2g} N off in the last; without contact zero or tare the sensor"
+        return state
 
     def add(self, window: StillWindow) -> None:
         """Take a steady window at rest, of what goes out."""
@@ -195,5 +195,5 @@ class SetupVerification:
             (slice(3), "N") if worst.share_off == worst.shares_off[0] else (slice(3, 6), "N.m")
         )
         off, of = (np.linalg.norm(part[kind]) for part in (worst.output, worst.expected))
-        told = "; or ".join(f"{one.what} ({one.remedy})" for one in good[:_MOST_TOLD])
-        return f"{told}: at rest {off:.2g} {unit} too much, where {of:.2g} {unit} are expected"
+        causes = "; or ".join(f"{one.what} ({one.remedy})" for one in good[:_MOST_NAMED])
+        return f"{causes}: at rest {off:.2g} {unit} too much, where {of:.2g} {unit} are expected"

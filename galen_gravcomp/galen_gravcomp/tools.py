@@ -8,6 +8,16 @@ import sys
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from galen_common.arm import add_arm, chosen_arm
+from galen_common.command import (
+    EXIT_OK,
+    add_json,
+    make_parser,
+    positive,
+    print_json,
+    run_command,
+    terminal,
+)
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
@@ -21,16 +31,6 @@ from galen_model.files.comparison import (
 )
 from galen_model.files.export import FORMATS, export_load
 from galen_model.load.model import LoadEstimate
-from galen_ros.arm import add_arm, chosen_arm
-from galen_ros.command import (
-    EXIT_OK,
-    add_json,
-    make_parser,
-    positive,
-    print_json,
-    run_command,
-    terminal,
-)
 from rich.markup import escape
 from rich.table import Table
 
@@ -271,7 +271,7 @@ def _export(arguments: argparse.Namespace, store: CalibrationStore) -> None:
 
 
 def _active(arguments: argparse.Namespace, ros_args: Sequence[str]) -> None:
-    from galen_gravcomp.tool_services import read_active  # needs ROS, the other commands don't
+    from galen_gravcomp.ros.active_tool import read_active  # needs ROS, the other commands don't
 
     state = read_active(arguments.node, arguments.timeout_s, ros_args)
     shown: list[str | Table] = [_fields("active", state)]

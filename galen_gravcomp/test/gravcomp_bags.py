@@ -3,8 +3,8 @@
 import numpy as np
 from calibration_files import tool_file  # noqa: F401 - for those who use recordings
 from galen_bags.formats.writer import BagWriter
+from galen_common.cdr import joint_state_bytes, wrench_bytes
 from galen_model.arm.galen import GALEN, SENSOR
-from galen_ros.cdr import joint_state_bytes, wrench_bytes
 
 START_NS = 1_700_000_000_000_000_000
 DELAY_NS = 400_000

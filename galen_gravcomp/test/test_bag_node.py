@@ -5,10 +5,10 @@ import time
 import numpy as np
 import pytest
 from galen_bags.formats.bag import open_bag
+from galen_common.cdr import WrenchWire
 from galen_gravcomp.evaluate.bag import evaluate_bag
-from galen_gravcomp.node import GravcompNode
+from galen_gravcomp.ros.node import GravcompNode
 from galen_model.files.calibration_file import write_calibration
-from galen_ros.cdr import WrenchWire
 from galen_ros.messages import STREAM, stamp_to_ns, wrench_to_array
 from galen_ros.node.testing import Harness, parameters
 from geometry_msgs.msg import WrenchStamped

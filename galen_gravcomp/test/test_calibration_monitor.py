@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from galen_common.stream.monitor import Severity
 from galen_gravcomp.calibration_monitor import CalibrationMonitor
 from galen_gravcomp.compensator import Compensator
 from galen_gravcomp.evidence import FitEvidence, Segments
@@ -10,7 +11,6 @@ from galen_gravcomp.parameters import GravcompParameters
 from galen_model.arm.galen import GALEN
 from galen_model.evidence.verdict import Cause
 from galen_model.load.model import Load
-from galen_ros.stream.monitor import Severity
 from scipy.stats import multivariate_normal
 from untouched_arm import NO_TOOL, POINTER, RETRACTOR, START_NS, UntouchedArm, push, tool_file
 

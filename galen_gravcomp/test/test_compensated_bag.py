@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 from galen_bags.formats.bag import open_bag
 from galen_bags.formats.writer import BagWriter
+from galen_common.cdr import joint_state_bytes, wrench_bytes
 from galen_gravcomp.evaluate.bag import BagJob
 from galen_model.arm.galen import GALEN
 from galen_model.files.calibration_file import write_calibration
-from galen_ros.cdr import joint_state_bytes, wrench_bytes
 from gravcomp_bags import START_NS, tool_file
 
 PERIOD_NS = 2_000_000

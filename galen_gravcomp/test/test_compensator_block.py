@@ -9,13 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from calibration_files import pointer
-from galen_gravcomp.compensator import Compensator, TareRejectedError
-from galen_gravcomp.corrections import tare as tare_module
-from galen_gravcomp.parameters import GravcompParameters
-from galen_model.arm.galen import GALEN
-from galen_model.files.calibration_file import CalibrationFile
-from galen_ros.stream import pairing as pairing_module
-from galen_ros.stream.samples import (
+from galen_common.stream import pairing as pairing_module
+from galen_common.stream.samples import (
     ANGLE_UNIT_LIMIT_RAD,
     TORQUE_UNIT_FACTOR,
     JointBuffer,
@@ -28,6 +23,11 @@ from galen_ros.stream.samples import (
     count_angle_unit_notices,
     surely_finite,
 )
+from galen_gravcomp.compensator import Compensator, TareRejectedError
+from galen_gravcomp.corrections import tare as tare_module
+from galen_gravcomp.parameters import GravcompParameters
+from galen_model.arm.galen import GALEN
+from galen_model.files.calibration_file import CalibrationFile
 from sample_blocks import topic
 
 from galen_gravcomp import block as block_module

@@ -6,6 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from galen_bags.formats.writer import BagWriter
+from galen_common.cdr import joint_state_bytes, wrench_bytes
+from galen_common.stream.samples import PairedWrench
 from galen_gravcomp.compensator import Compensator
 from galen_gravcomp.corrections.cable import CablePull
 from galen_gravcomp.evaluate.bag import EvaluationSettings, evaluate_bag
@@ -17,8 +19,6 @@ from galen_model.arm.galen import SENSOR
 from galen_model.evidence.verdict import Cause
 from galen_model.load.cable import LearnedPull
 from galen_model.load.mounting import Mounting
-from galen_ros.cdr import joint_state_bytes, wrench_bytes
-from galen_ros.stream.samples import PairedWrench
 from motion_tape import MS, START_NS, measured, readings, swing, tool_file
 
 URDF = (Path(__file__).parents[2] / "galen_bringup/urdf/six_axis.urdf").read_text()

@@ -7,7 +7,7 @@ import pinocchio
 import pytest
 from calibration_files import tool_file
 from diagnostic_msgs.msg import DiagnosticArray
-from galen_gravcomp.node import GravcompNode
+from galen_gravcomp.ros.node import GravcompNode
 from galen_model.arm.description import read_arm
 from galen_model.files.calibration_file import calibration_path, write_calibration, zeroed_at
 from galen_ros.messages import LATCHED, STREAM, fill_stamp, fill_wrench, wrench_to_array

@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from calibration_files import tool_file
+from galen_common.stream.monitor import Severity
+from galen_common.stream.samples import PairedWrench, Rejection
 from galen_gravcomp.compensator import Compensator
 from galen_gravcomp.corrections.cable import CablePull
 from galen_gravcomp.monitor import Monitor
 from galen_gravcomp.parameters import GravcompParameters
 from galen_model.arm.galen import GALEN, SENSOR
 from galen_model.load.cable import FORMS, LearnedPull, form_matrices
-from galen_ros.stream.monitor import Severity
-from galen_ros.stream.samples import PairedWrench, Rejection
 from sample_blocks import topic
 
 PERIOD_NS = 2_000_000

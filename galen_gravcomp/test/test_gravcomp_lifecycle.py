@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 from calibration_files import pointer
-from galen_gravcomp.node import GravcompNode
+from galen_gravcomp.ros.node import GravcompNode
 from galen_model.arm.galen import GALEN
 from galen_model.files.calibration_file import calibration_path, write_calibration
 from galen_ros.node.diagnostics import Level

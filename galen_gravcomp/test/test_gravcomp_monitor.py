@@ -2,12 +2,12 @@
 
 import pytest
 from calibration_files import pointer
+from galen_common.stream.monitor import HOLD_S, Severity
+from galen_common.stream.samples import Notice, PairedWrench, Rejected, Rejection
 from galen_gravcomp.compensator import Compensator
 from galen_gravcomp.monitor import Monitor
 from galen_gravcomp.parameters import GravcompParameters
 from galen_model.arm.galen import GALEN
-from galen_ros.stream.monitor import HOLD_S, Severity
-from galen_ros.stream.samples import Notice, PairedWrench, Rejected, Rejection
 
 S = 1_000_000_000
 TOOL = pointer()

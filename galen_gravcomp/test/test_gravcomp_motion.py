@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+from galen_common.stream.samples import PairedWrench, Rejection
 from galen_gravcomp.compensator import Compensator
 from galen_gravcomp.corrections.inertial import LocalPolynomial
 from galen_gravcomp.parameters import GravcompParameters
@@ -10,7 +11,6 @@ from galen_model.arm.galen import GALEN, SENSOR
 from galen_model.arm.sensor_motion import sensor_motion
 from galen_model.load.inertia import ImuMount
 from galen_model.rotation import rotvec_to_matrix
-from galen_ros.stream.samples import PairedWrench, Rejection
 from motion_tape import MS, START_NS, measured, readings, swing, tool_file
 
 PARAMETERS = GravcompParameters(motion="joints", calibration_monitor=False)

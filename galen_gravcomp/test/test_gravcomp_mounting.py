@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from calibration_files import tool_file
 from galen_bags.arrays.tables import read_table
+from galen_common.stream.samples import PairedWrench
 from galen_gravcomp.compensator import Compensator
 from galen_gravcomp.evaluate.command import main
 from galen_gravcomp.evaluate.table_scores import evaluate_table, table_prediction, tool_from_table
@@ -16,7 +17,6 @@ from galen_model.errors import GalenError
 from galen_model.files.calibration_file import read_calibration
 from galen_model.load.mounting import Mounting
 from galen_model.load.mounting_worth import MOUNTED, PLAIN
-from galen_ros.stream.samples import PairedWrench
 from sample_blocks import topic
 from scipy.spatial.transform import Rotation
 

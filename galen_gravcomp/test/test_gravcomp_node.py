@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from calibration_files import pointer
 from diagnostic_msgs.msg import DiagnosticArray
-from galen_gravcomp.node import GravcompNode
+from galen_common.stream.monitor import NOTICE_HOLD_S
+from galen_gravcomp.ros.node import GravcompNode
 from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import (
@@ -19,7 +20,6 @@ from galen_model.files.calibration_file import (
 from galen_ros.messages import STREAM, fill_stamp, fill_wrench, stamp_to_ns, wrench_to_array
 from galen_ros.node.diagnostics import Level
 from galen_ros.node.testing import Harness, parameters
-from galen_ros.stream.monitor import NOTICE_HOLD_S
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy

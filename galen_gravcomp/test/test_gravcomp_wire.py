@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from galen_ros.cdr import (
+from galen_common.cdr import (
     ImuWire,
     JointStateError,
     JointWire,
@@ -18,7 +18,7 @@ from geometry_msgs.msg import WrenchStamped
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Imu, JointState
 
-from galen_ros import cdr as wire
+from galen_common import cdr as wire
 
 RNG = np.random.default_rng(11)
 WRENCH, JOINTS = "stamped_layout", "joint_state_layout"

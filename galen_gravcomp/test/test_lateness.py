@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from galen_common.stream.monitor import NOTICE_HOLD_S, Severity
+from galen_common.stream.watches import LateWatch
 from galen_gravcomp.compensator import Compensator
 from galen_gravcomp.monitor import Monitor
 from galen_model.arm.galen import GALEN
-from galen_ros.stream.monitor import NOTICE_HOLD_S, Severity
-from galen_ros.stream.watches import LateWatch
 from untouched_arm import tool_file
 
 MS = 1_000_000

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from calibration_files import pointer
+from galen_gravcomp.ros import tool_services
 from galen_model.arm.galen import GALEN
 from galen_model.files.calibration_file import (
     calibration_path,
@@ -19,7 +20,6 @@ from galen_ros.node.testing import Harness
 from std_srvs.srv import SetBool, Trigger
 from test_gravcomp_node import LEFT, STILL, Bench
 
-from galen_gravcomp import tool_services
 from galen_msgs.msg import ActiveTool
 from galen_msgs.srv import (
     CompareTools,

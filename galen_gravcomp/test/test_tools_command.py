@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from calibration_files import pointer
+from galen_gravcomp.ros import active_tool
 from galen_gravcomp.tools import main
 from galen_model.arm.description import read_arm
 from galen_model.files.calibration_file import (
@@ -19,7 +20,6 @@ from galen_model.files.calibration_file import (
 from galen_model.load.cable import LearnedPull
 from galen_model.load.mounting import Mounting
 
-from galen_gravcomp import tool_services
 from galen_gravcomp import tools as tools_module
 
 
@@ -182,7 +182,7 @@ def test_active_shows_the_topic_and_what_is_wrong(
 ) -> None:
     state = {"tool": "pointer", "enabled": True, "mass_kg": 0.06, "tare": [0.5, 0.0, 0.0]}
     state |= {"file_state": "as loaded"} | changes
-    monkeypatch.setattr(tool_services, "read_active", lambda *_: state)
+    monkeypatch.setattr(active_tool, "read_active", lambda *_: state)
     assert main(["active"]) == 0
     out = capsys.readouterr().out
     assert all(word in out for word in words)

@@ -168,7 +168,7 @@ def solve_base_and_offset(marker: Transform, tool: Transform) -> tuple[Transform
 
 
 def _rotation_of(vector: Array) -> Array:
-    """Return the rotation nearest to a matrix told column by column, up to a factor."""
+    """Return the rotation nearest to a matrix given column by column, up to a factor."""
     matrix = vector.reshape(3, 3).T
     return nearest_rotation(matrix * np.sign(np.linalg.det(matrix)))
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio
 import pytest
-from galen_model.arm.description import PinocchioArm, read_arm
+from galen_model.arm.description import read_arm
 from galen_model.arm.galen import GALEN, GRAVITY_M_S2
 from galen_model.load.frames import (
     FrameError,
@@ -16,6 +16,8 @@ from galen_model.load.frames import (
     sensor_in_frame,
 )
 from galen_model.load.model import LoadEstimate, gravity_wrench
+
+from galen_validation.pinocchio_arm import PinocchioArm
 
 TIP_M = np.array([0.15, -0.02, 0.05])
 COVARIANCE = np.cov(

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from galen_model.arm.description import PinocchioArm
 from galen_model.arm.galen import GALEN
 from galen_model.errors import KinematicsError
+
+from galen_validation.pinocchio_arm import PinocchioArm
 
 TIP = np.array([0.18, 0.01, 0.05])
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio
 import pytest
-from galen_model.arm.description import PinocchioArm, read_arm
+from galen_model.arm.description import read_arm
 from galen_model.arm.galen import GALEN
 from galen_model.arm.sensor_motion import MotionOfSensor, sensor_motion
 from galen_model.errors import CalibrationFileError
@@ -27,6 +27,8 @@ from galen_model.load.model import Load, gravity_wrench
 from galen_model.rotation import skew
 from model_files import calibration
 from test_model_description import random_robot
+
+from galen_validation.pinocchio_arm import PinocchioArm
 
 SIX_AXIS = (Path(__file__).parents[2] / "galen_bringup/urdf/six_axis.urdf").read_text()
 INERTIA = np.array([2e-3, 3e-3, 4e-3, 1e-4, -2e-4, 3e-4])

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio
 import pytest
-from galen_model.arm.description import PinocchioArm, read_arm
+from galen_model.arm.description import read_arm
 from galen_model.arm.galen import GALEN
 from galen_model.errors import IdentificationError, NotExcitedError
 from galen_model.files.calibration_file import (
@@ -31,6 +31,8 @@ from galen_model.load.reading_model import JointPoses, MountedSweep, ReadingMode
 from galen_model.load.readings import StillPoses, with_offsets
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
+
+from galen_validation.pinocchio_arm import PinocchioArm
 
 SIGMA = np.array([0.02, 0.02, 0.03, 4e-4, 4e-4, 4e-4]) / np.sqrt(125)
 DEG = np.pi / 180.0

@@ -11,7 +11,7 @@ import socket
 from dataclasses import dataclass
 from pathlib import Path
 
-from galen_ros.command import make_parser
+from galen_common.command import make_parser
 
 from galen_panel.state.snapshot import TOOLS_DIR
 

@@ -48,8 +48,8 @@ def main() -> None:
     """Run the panel; see `panel --help`."""
     # Before the slow imports: an early signal, too, is an orderly end.
     end_by_signals()
+    from galen_common.command import own_arguments
     from galen_model.errors import GalenError
-    from galen_ros.command import own_arguments
 
     from galen_panel.options import read_options
 

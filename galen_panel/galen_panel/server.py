@@ -10,10 +10,10 @@ from collections.abc import Awaitable, Callable
 from contextlib import closing
 from typing import TYPE_CHECKING
 
+from galen_common.command import check_folder
 from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
-from galen_ros.command import check_folder
 from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response
 

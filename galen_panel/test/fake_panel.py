@@ -10,11 +10,11 @@ import time
 from dataclasses import replace
 
 from fake_suite import ACTIVE, POINTER, FakeSuite
+from galen_common.arm import ArmParameters
 from galen_model.errors import GalenError
 from galen_panel.options import read_options
 from galen_panel.server import serve
 from galen_panel.state.snapshot import Behaviour, BehaviourKind
-from galen_ros.arm import ArmParameters
 
 
 def stream(suite):

@@ -13,6 +13,7 @@ import httpx
 import numpy as np
 import pytest
 from galen_bags.formats.writer import BagWriter
+from galen_common.cdr import joint_state_bytes, wrench_bytes
 from galen_model.arm.description import read_arm
 from galen_model.arm.galen import GALEN
 from galen_model.files.calibration_file import CalibrationFile, write_calibration, zeroed_at
@@ -26,7 +27,6 @@ from galen_panel.recordings.reports import (
     REPORTS_PATH,
     VERDICTS,
 )
-from galen_ros.cdr import joint_state_bytes, wrench_bytes
 from starlette.applications import Starlette
 
 BAGS = Path(__file__).resolve().parents[2] / "bags"

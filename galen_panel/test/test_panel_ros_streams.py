@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import pytest
+from galen_common.cdr import deflection_bytes, joint_state_bytes, wrench_bytes
 from galen_model.arm.galen import GALEN
 from galen_panel.ros import streams as ros_streams
-from galen_ros.cdr import deflection_bytes, joint_state_bytes, wrench_bytes
 from galen_ros.messages import STREAM
 from geometry_msgs.msg import WrenchStamped
 from panel_ros_world import panel_world

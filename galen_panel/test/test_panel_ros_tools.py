@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from galen_gravcomp.node import GravcompNode
+from galen_gravcomp.ros.node import GravcompNode
 from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import calibration_path, read_calibration, write_calibration

@@ -34,7 +34,7 @@ from galen_ros.node.managed_node import Stage
 
 ROOT = Path(__file__).resolve().parents[2]
 NOW_S = 1000.0
-STREAM = ("galen_ros/galen_ros/stream/monitor.py",)
+STREAM = ("galen_common/galen_common/stream/monitor.py",)
 SOURCES = {
     "gravcomp": (*STREAM, "galen_gravcomp/galen_gravcomp/monitor.py"),
     "deflection": (*STREAM, "galen_deflection/galen_deflection/monitor.py"),
@@ -62,7 +62,7 @@ def level_of(severity):
 def states_of_streams(role):
     """(level, name) of each State(...) in the code that has a name of its own."""
     found = set()
-    for path in (*SOURCES[role], "galen_ros/galen_ros/stream/node.py"):
+    for path in (*SOURCES[role], "galen_ros/galen_ros/node/stream_node.py"):
         for call in calls(path, "State"):
             level, name = call.args[0], call.args[1]
             text = ast.unparse(name)
@@ -83,7 +83,7 @@ def states_of_streams(role):
 
 
 def states_of_driver():
-    tree = ast.parse((ROOT / "galen_sim_driver/galen_sim_driver/node.py").read_text())
+    tree = ast.parse((ROOT / "galen_sim_driver/galen_sim_driver/ros/node.py").read_text())
     (state,) = (n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef) and n.name == "_state")
     returned = [n.value for n in ast.walk(state) if isinstance(n, ast.Return)]
     return {(NodeLevel[one.elts[0].id], one.elts[1].value) for one in returned}

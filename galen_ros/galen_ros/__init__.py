@@ -1,1 +1,1 @@
-"""What the Galen nodes share on the ROS side: parameters, diagnostics, conversions, spinning."""
+"""What the Galen nodes share on the ROS side: nodes, diagnostics, conversions, spinning."""

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
+from galen_common.parameters import param
 from galen_model.errors import GalenError
 from galen_ros.node.diagnostics import OK, Level, Status
 from galen_ros.node.managed_node import ManagedNode
 from galen_ros.node.testing import Harness, Lifecycle, parameters
-from galen_ros.parameters import param
 from lifecycle_msgs.msg import Transition, TransitionEvent
 from lifecycle_msgs.srv import GetAvailableTransitions
 from rclpy.executors import SingleThreadedExecutor

@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import rclpy
+from galen_common.goal.parameters import MotionParameters
+from galen_common.goal.procedure import MoveTo
 from galen_model.arm.galen import GALEN
 from galen_ros.goal import arm_link
 from galen_ros.goal.arm_link import ArmPublisher
-from galen_ros.goal.parameters import MotionParameters
-from galen_ros.goal.procedure import MoveTo
 from galen_ros.node.testing import Harness
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.context import Context

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from galen_model.arm.galen import GALEN
-from galen_ros.cdr import (
+from galen_common.cdr import (
     JointWire,
     UnreadableError,
     joint_positions,
@@ -13,6 +12,7 @@ from galen_ros.cdr import (
     stamped_layout,
     wrench_bytes,
 )
+from galen_model.arm.galen import GALEN
 from galen_ros.messages import fill_stamp, fill_wrench
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.serialization import deserialize_message, serialize_message

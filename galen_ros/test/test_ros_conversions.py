@@ -2,7 +2,7 @@
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from galen_ros.cdr import JointWire
+from galen_common.cdr import JointWire
 from galen_ros.messages import (
     fill_stamp,
     fill_wrench,

@@ -8,8 +8,8 @@ import pytest
 _PROGRAM = """
 import os, signal, sys, time
 sys.path.insert(0, sys.argv[1])
-from galen_ros.executable import work
-sys.exit(work.main())
+from galen_common.executable import Executable
+sys.exit(Executable("work")())
 """
 
 _WORK = """
@@ -64,7 +64,7 @@ def main():
     finally:
         if what != "once":
             if what == "later":
-                import galen_ros.executable as executable
+                import galen_common.executable as executable
                 executable._SAME_S = 0.0
             interrupt()
         print("tidied up", flush=True)

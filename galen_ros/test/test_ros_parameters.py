@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 
 import pytest
-from galen_ros.arm import ArmParameters
+from galen_common.arm import ArmParameters
+from galen_common.parameters import ParameterError, param
 from galen_ros.node.parameters import declare_parameters, warn_of_unknown_parameters
 from galen_ros.node.testing import Harness, parameters
-from galen_ros.parameters import ParameterError, param
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 

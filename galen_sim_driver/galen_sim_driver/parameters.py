@@ -14,12 +14,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from galen_common.arm import ArmParameters
+from galen_common.parameters import ParameterError, param, param_fields
 from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN, SENSOR
 from galen_model.files.calibration_file import check_tool_name
 from galen_model.load.model import ADAPTER, TOOLS, Load, ToolGeometry
-from galen_ros.arm import ArmParameters
-from galen_ros.parameters import ParameterError, param, param_fields
 
 from galen_sim_driver.effects.effect import ConfigError, Effect
 from galen_sim_driver.effects.joints import as_word
@@ -189,10 +189,12 @@ def parameter_name(effect: Effect, field: str) -> str:
     """Return the driver's parameter for a field of an effect."""
     own = effect.name.split("_")
     group, *entry = effect.contract_names.get(field, field).split(".", 1)
-    told = group.lower().split("_")
-    shared = max(k for k in range(min(len(own), len(told)) + 1) if own[len(own) - k :] == told[:k])
+    words = group.lower().split("_")
+    shared = max(
+        k for k in range(min(len(own), len(words)) + 1) if own[len(own) - k :] == words[:k]
+    )
     joint = effect.identity.split(":", 1)[1:]
-    return "_".join([*own, *map(as_word, joint), *told[shared:], *map(as_word, entry)])
+    return "_".join([*own, *map(as_word, joint), *words[shared:], *map(as_word, entry)])
 
 
 def _names(effect: Effect) -> dict[str, str]:

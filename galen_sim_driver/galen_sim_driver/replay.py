@@ -178,7 +178,9 @@ class Replay:
         gravity = self._shared(
             "gravity", _WRENCH, (*_POSE, "gravity"), lambda: self._gravity_at(joints)
         )
-        total = _weight(gravity, *self._tool(gravity)) + _weight(gravity, *_told(scene.adapter))
+        total = _weight(gravity, *self._tool(gravity)) + _weight(
+            gravity, *_mass_and_com(scene.adapter)
+        )
         if scene.inertia_kg_m2 is not None:
             total = total + self._inertial_forces(scene.inertia_kg_m2)
         pulling = self._overriding(("wrench",))
@@ -189,11 +191,11 @@ class Replay:
         pose = scene.arm.home_angles if scene.zero_pose_rad is None else scene.zero_pose_rad
         zero = scene.arm.with_angles(np.array([pose]), scene.joints[:1])
         at_zero = self._gravity_at(self._true_joints(scene.instants(np.zeros(1)), zero))
-        return when, total - _weight(at_zero, *_told(scene.adapter))
+        return when, total - _weight(at_zero, *_mass_and_com(scene.adapter))
 
     def _tool(self, gravity: Array) -> tuple[float, Array]:
         """Return the true tool's mass and centre (n, 3) or (3,), with gravity (n, 3) on it."""
-        mass, com = _told(self.scene.tool.load)
+        mass, com = _mass_and_com(self.scene.tool.load)
         changing = self._overriding(("tool_load",))
         if changing:
             direction = gravity / np.linalg.norm(gravity, axis=1, keepdims=True)
@@ -356,7 +358,7 @@ class Replay:
         return self._shared("motion", _WRENCH, _POSE[:1], make)
 
 
-def _told(load: Load) -> tuple[float, Array]:
+def _mass_and_com(load: Load) -> tuple[float, Array]:
     return load.mass_kg, np.asarray(load.com_m, dtype=float)
 
 

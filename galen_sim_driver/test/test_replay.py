@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pinocchio
 import pytest
-from galen_model.arm.description import PinocchioArm
 from galen_model.arm.galen import GALEN, GRAVITY_M_S2, SENSOR_FRAME
 from galen_model.errors import GalenError
 from galen_model.load.model import ADAPTER, TOOLS, Load, gravity_wrench, nominal_reading
@@ -21,7 +20,6 @@ from galen_sim_driver.effects.load import LooseTool, ToolComError, ToolMassError
 from galen_sim_driver.effects.registry import (
     contract_parameters,
     effect_from,
-    extra_parameters,
     identities,
 )
 from galen_sim_driver.effects.sensor import (
@@ -35,6 +33,8 @@ from galen_sim_driver.effects.sensor import (
 )
 from galen_sim_driver.replay import Replay, Scene, rates
 from scipy.spatial.transform import Rotation
+
+from galen_validation.pinocchio_arm import PinocchioArm
 
 TOOL = TOOLS["retractor"]
 IDENTITIES = identities(GALEN)
@@ -295,8 +295,9 @@ def test_an_effects_numbers_survive_a_file(name):
     effect, default = some(name), IDENTITIES[name]
     assert default.changes_nothing
     assert not effect.changes_nothing
-    told = json.loads(json.dumps(contract_parameters(effect) | extra_parameters(effect)))
-    again = effect_from(effect.name, told, arm=GALEN)
+    others = {field: getattr(effect, field) for field in effect.beyond_contract}
+    written = json.loads(json.dumps(contract_parameters(effect) | others))
+    again = effect_from(effect.name, written, arm=GALEN)
     assert again == effect
     assert np.array_equal(again.vector(), effect.vector())
 

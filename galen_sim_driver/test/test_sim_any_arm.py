@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio
 import pytest
+from galen_common.parameters import param_fields
 from galen_model.arm.description import read_arm
 from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
@@ -13,7 +14,6 @@ from galen_model.load.model import ADAPTER, TOOLS, gravity_wrench
 from galen_model.rotation import rotvec_to_matrix
 from galen_ros.messages import LATCHED
 from galen_ros.node.testing import Harness
-from galen_ros.parameters import param_fields
 from galen_sim_driver.effects.effect import ConfigError
 from galen_sim_driver.effects.joints import compliance
 from galen_sim_driver.effects.registry import contract_parameters, effect_from, identities

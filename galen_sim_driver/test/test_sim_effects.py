@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pinocchio
 import pytest
-from galen_model.arm.description import PinocchioArm
 from galen_model.arm.galen import GALEN, GRAVITY_M_S2, SENSOR, SENSOR_FRAME
 from galen_model.arm.sensor_motion import sensor_motion
 from galen_model.load.model import ADAPTER, TOOLS, Load
@@ -16,6 +15,8 @@ from galen_sim_driver.parameters import DriverParameters, EffectParameters, effe
 from galen_sim_driver.plant.cell import Plant
 from galen_sim_driver.plant.config import PlantConfig
 from galen_sim_driver.plant.motion import Trajectory, TrajectoryPoint
+
+from galen_validation.pinocchio_arm import PinocchioArm
 
 EXACT = {"noise": False, "quantise": False}
 TURNED = (0.03, -0.05, 0.45, 0.8, -0.6)

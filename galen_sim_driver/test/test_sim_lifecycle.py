@@ -2,7 +2,7 @@
 
 import time
 
-import galen_sim_driver.node
+import galen_sim_driver.ros.node
 import pytest
 from galen_ros.messages import stamp_to_ns
 from galen_ros.node.testing import Harness, Lifecycle
@@ -58,7 +58,7 @@ def test_it_is_configured_anew_and_a_failure_is_fixed(cell, monkeypatch):
         raise ConfigError("no such arm")
 
     with monkeypatch.context() as patch:
-        patch.setattr(galen_sim_driver.node, "Plant", no_plant)
+        patch.setattr(galen_sim_driver.ros.node, "Plant", no_plant)
         assert not cell.life.go("configure") and cell.life.state == "unconfigured"
     cell.wait(lambda: "no such arm" in cell.diagnostics[-1].message, "the reason")
     assert not cell.driver.get_publishers_info_by_topic("/wrench_raw")

@@ -6,11 +6,11 @@ from functools import cache
 
 import numpy as np
 import pytest
+from galen_common.parameters import param_fields
 from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
 from galen_model.load.model import ADAPTER, TOOLS
 from galen_model.rotation import quaternion_to_matrix, rotvec_to_matrix
-from galen_ros.parameters import param_fields
 from galen_sim_driver.effects.registry import effect_from, identities
 from galen_sim_driver.effects.sensor import (
     BaseShift,

@@ -1,8 +1,8 @@
 """Limits hold at every step, references are followed, targets are reached exactly."""
 
 import numpy as np
+from galen_common.goal.parameters import MotionParameters
 from galen_model.arm.galen import GALEN
-from galen_ros.goal.parameters import MotionParameters
 from galen_sim_driver.plant import config
 from galen_sim_driver.plant.motion import (
     LimitedMotion,

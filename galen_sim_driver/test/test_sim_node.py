@@ -4,7 +4,7 @@ import os
 import time
 from xml.etree import ElementTree
 
-import galen_sim_driver.node as node_module
+import galen_sim_driver.ros.node as node_module
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Duration
@@ -20,7 +20,7 @@ from galen_ros.messages import (
     wrench_to_array,
 )
 from galen_ros.node.testing import Harness, parameters
-from galen_sim_driver.node import SimDriverNode, main
+from galen_sim_driver.ros.node import SimDriverNode, main
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message

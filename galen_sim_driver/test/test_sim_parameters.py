@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
-from galen_sim_driver.node import Pacer, SpeedMeter
 from galen_sim_driver.parameters import DriverParameters
 from galen_sim_driver.plant.cell import Plant
 from galen_sim_driver.plant.config import PlantConfig
+from galen_sim_driver.ros.node import Pacer, SpeedMeter
 
 DEFAULT = DriverParameters()
 

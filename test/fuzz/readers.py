@@ -54,8 +54,8 @@ from galen_bags.formats.bag import open_bag  # noqa: E402
 from galen_bags.formats.files import read_metadata  # noqa: E402
 from galen_bags.formats.mcap_records import zstd  # noqa: E402
 from galen_bags.formats.raw_block import pack  # noqa: E402
+from galen_common.cdr import ImuWire, JointWire, WrenchWire  # noqa: E402
 from galen_deflection.models.file import read_model, write_model  # noqa: E402
-from galen_diagnosis.blind.answers import read_answer  # noqa: E402
 from galen_gravcomp.evaluate.drift_series import read_series  # noqa: E402
 from galen_model.arm.galen import GALEN  # noqa: E402
 from galen_model.errors import GalenError  # noqa: E402
@@ -69,7 +69,8 @@ from galen_model.files.calibration_store import CalibrationStore  # noqa: E402
 from galen_model.files.comparison import compare_calibrations  # noqa: E402
 from galen_model.json_fields import FieldError  # noqa: E402
 from galen_model.load.model import LoadEstimate  # noqa: E402
-from galen_ros.cdr import ImuWire, JointWire, WrenchWire  # noqa: E402
+
+from galen_validation.blind.answers import read_answer  # noqa: E402
 
 LONGEST_MESSAGE = 2000
 """Letters, beside the path; more of a hostile file must not get into a log."""

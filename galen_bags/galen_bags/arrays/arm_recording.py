@@ -2,7 +2,7 @@
 
 A publisher's messages are alike but for stamp and numbers. So the first message's layout is worked
 out, all that fit it are read by array operations, and so on with the remaining ones
-(`galen_ros.cdr`).
+(`galen_common.cdr`).
 """
 
 from __future__ import annotations
@@ -15,12 +15,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from galen_model.arm.arm import MAX_URDF_BYTES, Arm
-from galen_model.arrays import Array
-from galen_model.errors import GalenError
-from galen_model.json_fields import FieldError, read_limited
-from galen_ros.arm import ArmParameters
-from galen_ros.cdr import (
+from galen_common.arm import ArmParameters
+from galen_common.cdr import (
     NS_PER_S,
     STAMP_AT,
     JointStateError,
@@ -31,6 +27,10 @@ from galen_ros.cdr import (
     joint_state_layout,
     stamped_layout,
 )
+from galen_model.arm.arm import MAX_URDF_BYTES, Arm
+from galen_model.arrays import Array
+from galen_model.errors import GalenError
+from galen_model.json_fields import FieldError, read_limited
 
 from galen_bags.formats.bag import Bag, listing, open_bag, robot_description
 from galen_bags.formats.errors import BagError

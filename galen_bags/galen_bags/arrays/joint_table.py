@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from galen_common.command import positive
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.transmission import JointRun
-from galen_ros.command import positive
 
 from galen_bags.arrays.tables import TextTable, read_text_table
 

@@ -48,13 +48,6 @@ class StampReport:
     delay_s: tuple[float, float, float]
     events: tuple[tuple[str, float, float], ...]
 
-    @property
-    def sound(self) -> bool:
-        """Whether nothing is wrong."""
-        return not (
-            self.gaps or self.jumps or self.duplicates or self.out_of_order or self.unstamped
-        )
-
 
 @dataclass
 class StampCheck:

@@ -17,6 +17,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from galen_common.goal.arrival import PoseRecorder, PoseRejection
+from galen_common.goal.procedure import OnRecord
 from galen_model.arm.arm import Arm
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
@@ -29,8 +31,6 @@ from galen_model.load.model import LoadEstimate
 from galen_model.load.readings import single_load_design
 from galen_model.poses.design import compensation_std_under, workspace_gravity
 from galen_model.rest.segments import PoseRecord
-from galen_ros.goal.arrival import PoseRecorder, PoseRejection
-from galen_ros.goal.procedure import OnRecord
 
 from galen_calibration_behavior.calibration.procedure import (
     CalibrationProcedure,

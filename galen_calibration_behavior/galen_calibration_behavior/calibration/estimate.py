@@ -130,7 +130,7 @@ def estimate(
     `warnings` are known from before. `calibrated_at`, with a time zone, is when it was measured,
     for measurements that come out of a recording; None: now. `mounting`: estimate that as well,
     with a constant bias. `check_setup`: whether a wrong set-up that explains the readings is an
-    error. `progress`: told what is compared; what it raises ends the comparison.
+    error. `progress`: called with what is compared; what it raises ends the comparison.
     Raises EstimateError.
     """
     gain: Worth | None = None
@@ -211,11 +211,11 @@ def _turned(mounting: Mounting | None) -> list[str]:
 
 
 def _check_zeroed(measurements: Measurements) -> None:
-    """Raise IdentificationError where one sweep's mounting can't be told: it assumes a zeroing."""
+    """Raise IdentificationError where one sweep's mounting lacks the zeroing that it assumes."""
     if measurements.bare is not None or measurements.zeroed:
         return
     zero = measurements.tool.arm.gravity_in_sensor(measurements.zero_angles)
-    why = "the parameter zeroing says so"
+    why = "by the parameter zeroing"
     if measurements.zeroed is None:
         why = zeroing_fault(measurements.tool, zero)
     if why:

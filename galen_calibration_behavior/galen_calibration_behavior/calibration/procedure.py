@@ -9,7 +9,7 @@ and for one sweep
 
 The sensor is zeroed at home with the adapter on and no tool in both. Home of an arm that has none
 is where it stands as the goal begins, and its poses are planned then. A cancel, an error and time
-are as in `galen_ros.goal.procedure`; waiting for a person goes by the wall clock, too.
+are as in `galen_common.goal.procedure`; waiting for a person goes by the wall clock, too.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from enum import IntEnum
 from typing import ClassVar
 
 import numpy as np
+from galen_common.goal.arrival import PoseRejection
+from galen_common.goal.procedure import OnRecord, PoseProcedure
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arm.routes import Router
 from galen_model.arrays import Array
 from galen_model.errors import GalenError, NotExcitedError
 from galen_model.rest.segments import PoseRecord
-from galen_ros.goal.arrival import PoseRejection
-from galen_ros.goal.procedure import OnRecord, PoseProcedure
 from numpy.typing import ArrayLike
 
 from galen_calibration_behavior.common.commands import (
@@ -41,7 +41,7 @@ from galen_calibration_behavior.common.commands import (
     ZeroSensor,
 )
 from galen_calibration_behavior.common.parameters import CalibrationParameters
-from galen_calibration_behavior.common.sweep import Sweep, Verdict, still_poses
+from galen_calibration_behavior.common.sweep import PoseOutcome, Sweep, still_poses
 
 # A topic's queue holds no more than this of stamps: 2000 samples at 500 Hz.
 _DEEPEST_QUEUE_S = 4.0
@@ -399,7 +399,7 @@ class CalibrationProcedure(PoseProcedure):
             )
         )
 
-    def _report_pose(self, verdict: Verdict) -> None:
+    def _report_pose(self, verdict: PoseOutcome) -> None:
         assert self._sweep is not None
         done, total = self.progress
         wrench: tuple[float, ...] = (float("nan"),) * 6

@@ -71,7 +71,7 @@ class Differences:
     """Load and offset that the readings at still poses differ by, all in ft_sensor, SI.
 
     moments (4,): mass and first moment, true less file's, with covariance (4, 4); offset (6,), its
-    std (6,): with no other load where that isn't told, else beside it; rest (n, 6): what neither
+    std (6,): beside another load where that is significant, else without; rest (n, 6): what neither
     explains; sigma (6,): noise of one pose's mean. rest_p, load_p, offset_p: how often chance alone
     does as much. load_effect, effect (6,): by how much a compensation is off at worst, by the load
     and by all; effect_std (6,): its largest standard deviation.
@@ -204,7 +204,7 @@ _GRID_INFLATION = 4.0
 _STEPS = 13
 # What no load and no offset explains is the cause, not a remark, where it is so unlikely ...
 _UNEXPLAINED = 1e-3
-# ... and so large a part of the load that would be told besides (as in
+# ... and so large a part of the load that would be significant besides (as in
 # `galen_gravcomp.evaluate.residual`).
 _WORTH = 4.0
 
@@ -273,22 +273,22 @@ def differences(
     alone_covariance = (
         np.diag(sigma**2) / count + by_file[4:, 4:] + mean_rows @ by_file[:4, :4] @ mean_rows.T
     )
-    told = load_p < limits.false_alarm
+    significant = load_p < limits.false_alarm
     everywhere = load_and_offset(workspace(_STEPS, tool.arm), tool)
     both = fit_covariance + by_file
     variance = np.sum((everywhere @ both) * everywhere, axis=2)
     return Differences(
         moments=moments,
         moments_covariance=covariance,
-        offset=values[4:] if told else alone,
-        offset_std=np.sqrt(np.diag(both)[4:] if told else np.diag(alone_covariance)),
+        offset=values[4:] if significant else alone,
+        offset_std=np.sqrt(np.diag(both)[4:] if significant else np.diag(alone_covariance)),
         rest=rest,
         sigma=sigma,
         rest_p=float(chi2_sf(np.sum((rest / sigma) ** 2), 6 * count - 10)),
         load_p=load_p,
         offset_p=chance(alone, alone_covariance),
         load_effect=np.max(np.abs(everywhere[:, :, :4] @ moments), axis=0),
-        effect=np.max(np.abs(everywhere @ values), axis=0) if told else np.abs(alone),
+        effect=np.max(np.abs(everywhere @ values), axis=0) if significant else np.abs(alone),
         effect_std=np.sqrt(np.max(variance, axis=0)),
     )
 
@@ -315,14 +315,14 @@ def _decide(found: Differences, limits: CheckLimits, explained: tuple[Explanatio
     # The fit takes ten values, and so freedom of the rest's mean square, in six axes.
     rest = np.sqrt(np.sum(found.rest**2, axis=0) / (len(found.rest) - 10.0 / 6.0))
     load_size = limits.size(found.load_effect)
-    load_told = found.load_p < limits.false_alarm and load_size > 1.0
+    load_significant = found.load_p < limits.false_alarm and load_size > 1.0
     if found.rest_p < _UNEXPLAINED:
         by_cause = [limits.size(one.effect) for one in explained[:1]]
         no_load_then = any(limits.size(one.load_effect) <= 1.0 for one in explained[:1])
         instead = no_load_then or _WORTH * limits.size(rest) > load_size
-        if max([limits.size(rest), *by_cause]) > 1.0 and (not load_told or instead):
+        if max([limits.size(rest), *by_cause]) > 1.0 and (not load_significant or instead):
             return Cause.UNEXPLAINED
-    if load_told:
+    if load_significant:
         return Cause.LOAD
     if limits.size(found.effect) > 1.0 and found.offset_p < limits.false_alarm:
         return Cause.OFFSET

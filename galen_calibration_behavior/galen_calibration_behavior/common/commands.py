@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 
+from galen_common.goal.procedure import End, MoveTo, Stop
 from galen_model.arrays import Array
 from galen_model.load.readings import StillPoses
-from galen_ros.goal.procedure import End, MoveTo, Stop
 
 from galen_calibration_behavior.common.check_decision import QuickCheck
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from galen_common.goal.parameters import PoseParameters
+from galen_common.parameters import ParameterError, param
 from galen_model.arm.clearance import boxes_from_numbers
 from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
@@ -21,8 +23,6 @@ from galen_model.poses.plan import (
     plan_chosen,
     sweep_grid,
 )
-from galen_ros.goal.parameters import PoseParameters
-from galen_ros.parameters import ParameterError, param
 
 from galen_calibration_behavior.common.check_decision import FEWEST_POSES, CheckLimits
 

@@ -6,17 +6,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from galen_common.goal.arrival import PoseRejection
 from galen_model.arm.arm import Arm
 from galen_model.arrays import Array
 from galen_model.load.readings import StillPoses
 from galen_model.rest.segments import PoseRecord, StillnessSettings, wrench_fault
-from galen_ros.goal.arrival import PoseRejection
 
 _COLDEST_C, _HOTTEST_C = -273.15, 1000.0
 
 
 @dataclass(frozen=True)
-class Verdict:
+class PoseOutcome:
     """What became of one visit of a pose."""
 
     index: int
@@ -83,7 +83,7 @@ class Sweep:
         bad = sum(r.not_finite for r in self._left_out.values())
         return bad > len(self._left_out) / 2
 
-    def take(self, outcome: PoseRecord | PoseRejection) -> list[Verdict]:
+    def take(self, outcome: PoseRecord | PoseRejection) -> list[PoseOutcome]:
         """Judge the current pose's visit and step on.
 
         Returns its verdict, then, at the end of a round, those of recorded poses that turned out
@@ -108,17 +108,17 @@ class Sweep:
             ]
         return verdicts
 
-    def _keep(self, index: int, record: PoseRecord) -> Verdict:
+    def _keep(self, index: int, record: PoseRecord) -> PoseOutcome:
         self._records[index] = record
         return self._verdict(index, True, record, "")
 
-    def _reject(self, index: int, rejection: PoseRejection) -> Verdict:
+    def _reject(self, index: int, rejection: PoseRejection) -> PoseOutcome:
         if self._visits[index] > self._retries:
             self._left_out[index] = rejection
             return self._verdict(index, False, None, f"{rejection.reason}; left out")
         return self._verdict(index, False, None, f"{rejection.reason}; will be tried again")
 
-    def _judge_all(self) -> list[Verdict]:
+    def _judge_all(self) -> list[PoseOutcome]:
         records = list(self._records.values())
         faults = {
             k: fault
@@ -131,8 +131,8 @@ class Sweep:
 
     def _verdict(
         self, index: int, accepted: bool, record: PoseRecord | None, message: str
-    ) -> Verdict:
-        return Verdict(index, tuple(self.poses[index].tolist()), accepted, record, message)
+    ) -> PoseOutcome:
+        return PoseOutcome(index, tuple(self.poses[index].tolist()), accepted, record, message)
 
 
 def still_poses(records: Sequence[PoseRecord], arm: Arm, origin_ns: int = 0) -> StillPoses:

@@ -43,7 +43,7 @@ from galen_calibration_behavior.common.commands import CalibrationCode
 from galen_calibration_behavior.common.parameters import CalibrationParameters
 from galen_calibration_behavior.from_bag.sweeps import RecordedSweeps, SweepSorter
 from galen_calibration_behavior.from_bag.visits import Visits, find_visits
-from galen_ros import command
+from galen_common import command
 
 T = TypeVar("T")
 

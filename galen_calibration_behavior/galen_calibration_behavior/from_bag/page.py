@@ -13,14 +13,14 @@ import matplotlib
 matplotlib.use("Agg")  # a lab's machine over ssh has no display
 import matplotlib.pyplot as plt
 import numpy as np
+from galen_common.command import PageRow, render_page
+from galen_common.goal.arrival import NS
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.estimation.problem import MIN_POSES_TO_REJECT
 from galen_model.load.model import LoadEstimate, gravity_wrench
 from galen_model.poses.design import compensation_std_under, workspace_gravity
 from galen_model.rest.segments import PoseRecord
-from galen_ros.command import PageRow, render_page
-from galen_ros.goal.arrival import NS
 
 from galen_calibration_behavior.calibration.by_hand import down_text, missing_direction
 from galen_calibration_behavior.calibration.estimate import Calibration

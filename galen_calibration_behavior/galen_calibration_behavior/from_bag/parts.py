@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from galen_bags.arrays.arm_recording import ArmRecording
+from galen_common.command import terminal
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.calibrated.cable_learning import (
@@ -34,7 +35,6 @@ from galen_model.files.calibration_file import (
 from galen_model.load.cable import MAX_POSES, SUPPORT_M
 from galen_model.load.inertia import INERTIA_NAMES, point_mass_inertia
 from galen_model.rest.segments import PoseRecord
-from galen_ros.command import terminal
 
 from galen_calibration_behavior.calibration.estimate import check_writable
 from galen_calibration_behavior.from_bag.loads import (

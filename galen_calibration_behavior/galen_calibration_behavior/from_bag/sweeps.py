@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from itertools import groupby
 
 import numpy as np
+from galen_common.goal.arrival import NS, PoseRejection
 from galen_model.arrays import Array
 from galen_model.errors import GalenError, IdentificationError
 from galen_model.load.identification import MIN_POSES
@@ -23,7 +24,6 @@ from galen_model.load.readings import StillPoses
 from galen_model.rest.segments import PoseRecord, wrench_fault
 from galen_model.setup_check.check import SetupError, require_setup
 from galen_model.setup_check.readings import StillReadings
-from galen_ros.goal.arrival import NS, PoseRejection
 from numpy.typing import ArrayLike
 
 from galen_calibration_behavior.common.commands import Measurements
@@ -144,7 +144,7 @@ class SweepSorter:
     def two_sweeps(self, recording: Visits, tool_on_at_s: float | None = None) -> RecordedSweeps:
         """Both sweeps out of one recording; where the tool came on is found, or given.
 
-        Raises GalenError, also where it can't be told where the tool came on.
+        Raises GalenError, also where it is not known where the tool came on.
         """
         visits, warnings = self._home.after_zeroing(recording)
         visits = self._home.without_ends(visits)

@@ -15,11 +15,11 @@ from pathlib import Path
 
 import numpy as np
 from galen_bags.arrays.arm_recording import ArmRecording
+from galen_common.goal.arrival import NS, PoseRecorder, PoseRejection, StampClock, StampsError
 from galen_model.arm.galen import SENSOR
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.rest.segments import JointRest, PoseRecord, rest_by_joints
-from galen_ros.goal.arrival import NS, PoseRecorder, PoseRejection, StampClock, StampsError
 
 from galen_calibration_behavior.common.parameters import CalibrationParameters
 
@@ -30,7 +30,7 @@ _LAG_NS = NS
 
 
 @dataclass(frozen=True)
-class Level:
+class MeanReading:
     """Mean reading (6,) over one average's length, N and N.m, and its std for white noise."""
 
     wrench: Array
@@ -52,8 +52,8 @@ class Visit:
     log_ns: int
     joints: Array
     outcome: PoseRecord | PoseRejection
-    first: Level | None
-    last: Level | None
+    first: MeanReading | None
+    last: MeanReading | None
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class Visits:
 
     @property
     def origin_ns(self) -> int:
-        """Stamp of the first joint state, from which times are told."""
+        """Stamp of the first joint state, from which times are counted."""
         return int(self.recording.joint_stamp_ns[0])
 
     def time_s(self, stamp_ns: int) -> float:
@@ -207,7 +207,7 @@ class _Player:
         """Feed both topics from joint row `first` to `last` until there is a result."""
         recording = self._recording
         count = len(recording.joint_stamp_ns)
-        # Nothing after the last joint state can be told to belong elsewhere.
+        # Nothing after the last joint state can be shown to belong elsewhere.
         end = None if last == count - 1 else self._joint_place[last] + 1
         for row in self._order[self._joint_place[first] : end].tolist():
             if row < count:
@@ -224,7 +224,7 @@ class _Player:
 
     def _levels(
         self, rows: slice, settled_ns: int, end_ns: int
-    ) -> tuple[Level | None, Level | None]:
+    ) -> tuple[MeanReading | None, MeanReading | None]:
         """Return the readings at the phase's begin and end."""
         count = len(self._recording.joint_stamp_ns)
         places = self._order[self._joint_place[rows.start] : self._joint_place[rows.stop - 1] + 1]
@@ -237,13 +237,13 @@ class _Player:
             self._level(wrench_rows[(stamps >= last_ns) & (stamps <= end_ns)]),
         )
 
-    def _level(self, wrench_rows: np.ndarray) -> Level | None:
+    def _level(self, wrench_rows: np.ndarray) -> MeanReading | None:
         values = self._recording.wrenches[wrench_rows]
         values = values[np.all(np.isfinite(values), axis=1)]
         if len(values) < 2:
             return None
         std = np.maximum(values.std(axis=0, ddof=1), SENSOR.quantum / np.sqrt(12.0))
-        return Level(values.mean(axis=0), std / np.sqrt(len(values)))
+        return MeanReading(values.mean(axis=0), std / np.sqrt(len(values)))
 
 
 def _check_frames(recording: ArmRecording, settings: CalibrationParameters) -> None:

@@ -2,7 +2,8 @@
 
     MEASURE (each pose: go, arrive, settle, average, judge) > decide > RETURN to where the arm was
 
-A cancel, an error and time are as in `galen_ros.goal.procedure`; the arm then stays where it stops.
+A cancel, an error and time are as in `galen_common.goal.procedure`; the arm then stays where it
+stops.
 
 The poses are those of a small grid around the present one, or of an arm of more than two revolute
 joints of a small box (`galen_model.poses.plan`), that make the compensation's error, mean over the
@@ -17,6 +18,8 @@ from collections.abc import Mapping
 from enum import IntEnum
 
 import numpy as np
+from galen_common.goal.arrival import PoseRejection
+from galen_common.goal.procedure import PoseProcedure
 from galen_model.arm.arm import Arm
 from galen_model.arm.clearance import ObstacleError
 from galen_model.arrays import Array
@@ -24,8 +27,6 @@ from galen_model.errors import GalenError
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.poses.plan import Surroundings, SweepPlan, SweepRange, SweepTimes, plan_chosen
 from galen_model.rest.segments import PoseRecord
-from galen_ros.goal.arrival import PoseRejection
-from galen_ros.goal.procedure import PoseProcedure
 
 from galen_calibration_behavior.common.check_decision import FEWEST_POSES, QuickCheck, quick_check
 from galen_calibration_behavior.common.commands import (
@@ -35,7 +36,7 @@ from galen_calibration_behavior.common.commands import (
     PosesEnd,
 )
 from galen_calibration_behavior.common.parameters import CalibrationParameters
-from galen_calibration_behavior.common.sweep import Sweep, Verdict
+from galen_calibration_behavior.common.sweep import PoseOutcome, Sweep
 
 _GRID_STEPS = 5
 # Of the best information: enough to see a change, for a smaller motion than a calibration's.
@@ -160,7 +161,7 @@ class CheckProcedure(PoseProcedure):
         done, total = self.progress
         self._commands.append(PoseFeedback(self._state, message, done=done, total=total))
 
-    def _report_pose(self, verdict: Verdict) -> None:
+    def _report_pose(self, verdict: PoseOutcome) -> None:
         done, total = self.progress
         where = f"pose {verdict.index + 1}"
         self._commands.append(

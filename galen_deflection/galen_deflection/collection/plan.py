@@ -13,14 +13,14 @@ from pathlib import Path
 from typing import ClassVar, NamedTuple
 
 import numpy as np
+from galen_common.goal.parameters import MotionParameters
+from galen_common.goal.procedure import End, MoveTo, Stop
+from galen_common.parameters import param
 from galen_model.arm.clearance import ArmClearance, ObstacleError
 from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.registration import move_wrench
-from galen_ros.goal.parameters import MotionParameters
-from galen_ros.goal.procedure import End, MoveTo, Stop
-from galen_ros.parameters import param
 
 from galen_deflection.measurement.arm_track import same_position
 

@@ -8,7 +8,7 @@ and for each push PUSH <> HOLD > RELEASE > REST, again if it was not as asked. B
 are at the first position. They have bags of their own, because a third visit there without a push
 would count as a set of pushes.
 
-A cancel, an error and time are as in `galen_ros.goal.procedure`.
+A cancel, an error and time are as in `galen_common.goal.procedure`.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from enum import IntEnum
 from functools import partial
 
 import numpy as np
+from galen_common.goal.arrival import NS, StampClock
+from galen_common.goal.procedure import JOINTS, GoalProcedure
 from galen_model.arrays import Array
-from galen_ros.goal.arrival import NS, StampClock
-from galen_ros.goal.procedure import JOINTS, GoalProcedure
 
 from galen_deflection.collection.plan import (
     NOTHING,

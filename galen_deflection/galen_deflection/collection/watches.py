@@ -15,10 +15,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from galen_common.goal.arrival import NS
 from galen_model.arm.arm import Arm
 from galen_model.arrays import Array
 from galen_model.registration import Transform, mean_pose
-from galen_ros.goal.arrival import NS
 
 from galen_deflection.collection.plan import CollectionParameters, State, WantedPush
 from galen_deflection.measurement.arm_track import SIGMAS, no_contact_phase, noise_of_mean

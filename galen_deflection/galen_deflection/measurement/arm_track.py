@@ -10,13 +10,13 @@ import numpy as np
 from galen_bags.arrays.arm_recording import ArmReader, Samples, join_samples
 from galen_bags.arrays.timeline import Timeline, interpolated, lay_out, stamp_sentences
 from galen_bags.formats.bag import Bag
+from galen_common.stream.samples import joint_jump
 from galen_model.arm.arm import Arm
 from galen_model.arm.galen import SENSOR
 from galen_model.arrays import Array
 from galen_model.calibrated.prediction import Prediction
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.rest.segments import rest_by_joints
-from galen_ros.stream.samples import joint_jump
 
 from galen_deflection.measurement.samples import DeflectionError
 

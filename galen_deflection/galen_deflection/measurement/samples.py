@@ -121,7 +121,7 @@ def joined(parts: Sequence[DeflectionSamples]) -> DeflectionSamples:
     return replace(parts[0], **whole, noise=noise)
 
 
-class Push(NamedTuple):
+class LoadCycle(NamedTuple):
     """One push from no load to no load.
 
     rows: of the samples, from the last unloaded one before it to the first one after it. rest: the
@@ -146,7 +146,7 @@ def no_load(at_tip: Array) -> tuple[float, float]:
 
 def find_pushes(
     samples: DeflectionSamples, at_tip: Array, limits: tuple[float, float] | None = None
-) -> list[Push]:
+) -> list[LoadCycle]:
     """Return the pushes in their order, none over the end of a segment.
 
     A push without an unloaded sample before or after it in its segment is left out: its
@@ -166,7 +166,7 @@ def find_pushes(
     return found
 
 
-def _in_segment(stamp_ns: np.ndarray, size: Array, first: int) -> list[Push]:
+def _in_segment(stamp_ns: np.ndarray, size: Array, first: int) -> list[LoadCycle]:
     margin_ns = round(_MARGIN_S * _NS_PER_S)
     loaded = size > 1.0
     for flag, shortest_s in ((False, _MIN_REST_S), (True, _MIN_PUSH_S)):
@@ -185,5 +185,5 @@ def _in_segment(stamp_ns: np.ndarray, size: Array, first: int) -> list[Push]:
             first + stop + int(np.searchsorted(pause_ns, pause_ns[-1] - margin_ns, side="right")),
         )
         peak = first + start + int(np.argmax(size[start:stop]))
-        pushes.append(Push(slice(first + start - 1, first + stop + 1), rest, peak))
+        pushes.append(LoadCycle(slice(first + start - 1, first + stop + 1), rest, peak))
     return pushes

@@ -35,7 +35,7 @@ from galen_model.json_fields import (
     get,
     mapping,
     parse_json,
-    read_limited,
+    read_json,
     text,
     texts,
 )
@@ -104,7 +104,7 @@ def read_model(path: str | os.PathLike[str], arm: Arm) -> DeflectionModel:
     """
     path = Path(path)
     try:
-        content = parse_json(read_limited(path, _MAX_FILE_BYTES, "a model's file"))
+        content = read_json(path, _MAX_FILE_BYTES, "a model's file")
         return _model_of(content, arm)
     except OSError as error:
         raise DeflectionError(f"{path}: can't be read: {error.strerror}") from error

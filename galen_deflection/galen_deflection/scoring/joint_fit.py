@@ -326,7 +326,7 @@ class Estimate(NamedTuple):
     """A value with its standard deviation and 95 % interval.
 
     Of the bootstrap; enlarged by the difference of the form's next best grid of thresholds, since
-    a form is never the law itself.
+    a form is never exactly the joint's.
     """
 
     value: float

@@ -6,8 +6,8 @@ import argparse
 from typing import Any
 
 from galen_bags.arrays.joint_table import add_column_options, joint_columns, read_joint_runs
+from galen_common.command import EXIT_OK, print_json, progress, terminal, whole
 from galen_model.transmission import COMMON, swapped, time_blocks, whole_runs
-from galen_ros.command import EXIT_OK, print_json, progress, terminal, whole
 from rich.table import Table
 
 from galen_deflection.scoring.joint_fit import (

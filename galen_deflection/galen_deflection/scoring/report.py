@@ -9,11 +9,11 @@ from typing import Any
 
 from galen_bags.formats.files import find_bags
 from galen_bags.many import calibration_of_bag
+from galen_common.arm import add_arm, chosen_arm
+from galen_common.command import progress
 from galen_model.arm.arm import Arm
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import CalibrationFile
-from galen_ros.arm import add_arm, chosen_arm
-from galen_ros.command import progress
 from rich.console import Console
 from rich.table import Table
 

@@ -19,7 +19,7 @@ from galen_model.distributions import chi2_ppf, normal_ppf
 from galen_deflection.measurement.samples import (
     DeflectionError,
     DeflectionSamples,
-    Push,
+    LoadCycle,
     find_pushes,
     no_load,
 )
@@ -190,7 +190,7 @@ def by_position(samples: DeflectionSamples, predicted: PredictedSamples) -> dict
 
 
 def _score_rests(
-    samples: DeflectionSamples, predicted: Array, pushes: Sequence[Push]
+    samples: DeflectionSamples, predicted: Array, pushes: Sequence[LoadCycle]
 ) -> RestScore | None:
     """Of the pauses after pushes; predicted (n, 6). None without a pause to look at."""
     rests = [p.rest for p in pushes if p.rest.stop - p.rest.start >= _MIN_REST_SAMPLES]

@@ -22,6 +22,8 @@ from typing import Any, Literal
 
 import numpy as np
 import yaml
+from galen_common.command import writing
+from galen_common.goal.parameters import MotionParameters
 from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
@@ -31,8 +33,6 @@ from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.identification import check_planned_poses
 from galen_model.poses.design import PoseDesign, PoseDesignError
 from galen_model.poses.plan import SweepRange, SweepTimes, order_poses
-from galen_ros.command import writing
-from galen_ros.goal.parameters import MotionParameters
 
 from galen_diagnosis.experiment.separation import Alternative, choose_units, separate
 from galen_diagnosis.experiment.trial import Trial, motion_trial, push_trial, still_trial

@@ -62,7 +62,7 @@ _USUAL_TRACKER_NOISE = [
     *[ChannelNoise(np.zeros(0), 3e-5)] * 3,
     *[ChannelNoise(np.zeros(0), 1e-4)] * 3,
 ]
-"""Of a tracker whose own noise can't be told: m, rad."""
+"""Of a tracker whose own noise is not known: m, rad."""
 UNKNOWNS = 18
 
 

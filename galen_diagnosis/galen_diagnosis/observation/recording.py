@@ -31,7 +31,7 @@ from galen_model.json_fields import (
     array,
     get,
     mapping,
-    parse_json,
+    read_json,
     read_limited,
     text,
 )
@@ -233,7 +233,7 @@ def _robot(path: Path, tool: Path) -> Arm:
     if not described:
         return GALEN
     try:
-        file = parse_json(read_limited(tool, MAX_FILE_BYTES, "a calibration file"))
+        file = read_json(tool, MAX_FILE_BYTES, "a calibration file")
         known = mapping(file, "the file")
         frame = text(get(known, "sensor_frame"), "sensor_frame")
         gravity = array(get(known, "gravity_m_s2"), "gravity_m_s2", (3,))

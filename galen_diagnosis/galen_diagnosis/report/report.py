@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from galen_common.command import PageRow, check_parent, render_page, writing
 from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
 from galen_model.files.atomic_file import sync_directory
-from galen_ros.command import PageRow, check_parent, render_page, writing
 from galen_sim_driver.effects.effect import ConfigError, Effect
 from galen_sim_driver.effects.registry import EFFECTS
 from galen_sim_driver.parameters import driver_file

@@ -38,12 +38,12 @@ from __future__ import annotations
 from enum import Enum
 
 import numpy as np
+from galen_common.stream.monitor import joined
 from galen_model.arm.arm import Arm
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.load.model import gravity_regressor
 from galen_model.rest.windows import StillWindows
-from galen_ros.stream.monitor import joined
 
 from galen_gravcomp.corrections.tare import TareRamp
 
@@ -119,7 +119,7 @@ class BiasDriftFilter:
         if tared is not None:
             self._covariance[_BIAS_DRIFT, _BIAS_DRIFT] = 0.0
             self._go_to(*tared)
-            # A level of zero, known as well as a tare's window tells it.
+            # A level of zero, with the accuracy of a tare's window.
             self._learn(np.zeros(6), self._design(), 1e-2 * _FLOOR**2)
 
     def see(self, end_ns: int, angles: tuple[float, ...], level: Array, std: Array) -> bool:

@@ -3,10 +3,10 @@
 import math
 
 import numpy as np
+from galen_common.stream.monitor import joined
 from galen_model.arm.arm import Arm
 from galen_model.arrays import Array
 from galen_model.load.cable import SEEN, UNSEEN, LearnedPull
-from galen_ros.stream.monitor import joined
 
 # Poses at once: the kernel of so many with those of a sweep stays in the processor's cache.
 _ROWS = 2048

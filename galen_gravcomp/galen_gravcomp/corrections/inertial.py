@@ -25,13 +25,13 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from galen_common.stream.samples import Rejection
 from galen_model.arm.arm import Arm
 from galen_model.arm.sensor_motion import MotionOfSensor
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.inertia import ImuMount, LoadInMotion, point_mass_inertia
 from galen_model.rotation import rotvec_to_matrix
-from galen_ros.stream.samples import Rejection
 
 from galen_gravcomp.parameters import GravcompParameters
 

@@ -109,8 +109,6 @@ class TareRamp:
     so that its rate never exceeds 1.5 |target - start| / ramp_s, and is zero at both ends.
     """
 
-    PEAK_RATE = 1.5
-
     def __init__(self, ramp_s: float) -> None:
         self._ramp_ns = ramp_s * 1e9
         self._start_ns: int | None = None  # None: the target is fully active

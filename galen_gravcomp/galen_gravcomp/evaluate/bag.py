@@ -28,6 +28,9 @@ from galen_bags.arrays.timeline import StampCheck, StampReport
 from galen_bags.formats.bag import Bag, open_bag
 from galen_bags.formats.writer import BagWriter
 from galen_bags.many import Place, calibration_of_bag, name_of
+from galen_common.arm import ArmParameters
+from galen_common.cdr import MessageBytes, wrench_bytes
+from galen_common.stream.samples import Notice
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.evidence.verdict import Cause, Limits, Verdict
@@ -35,9 +38,6 @@ from galen_model.files.calibration_file import CalibrationFile
 from galen_model.rest.binned import CELL_S, CellReducer, Cells, StillPhases, find_still_phases
 from galen_model.setup_check.check import check_setup
 from galen_model.setup_check.readings import at_angles
-from galen_ros.arm import ArmParameters
-from galen_ros.cdr import MessageBytes, wrench_bytes
-from galen_ros.stream.samples import Notice
 
 from galen_gravcomp.compensator import Compensator
 from galen_gravcomp.corrections.inertial import inertia_source
@@ -63,7 +63,7 @@ _UNITS = {
 _TOPIC = "wrench_compensated"
 
 OnProgress = Callable[[int, int | None], None]
-"""Is told how many messages are done, and the total; None where the bag does not hold it."""
+"""Called with how many messages are done, and the total; None where the bag does not hold it."""
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 from galen_bags.arrays.timeline import StampReport
+from galen_common.stream.samples import Notice
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.evidence.verdict import Cause
-from galen_ros.stream.samples import Notice
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table

@@ -16,14 +16,8 @@ from galen_bags.arrays.arm_recording import topics_of
 from galen_bags.arrays.tables import is_recording, read_motion, read_specific, read_table
 from galen_bags.formats.files import find_bags
 from galen_bags.many import ArchivedRecording, Place, json_rows, name_depth, name_of, run_many
-from galen_model.arm.galen import GALEN
-from galen_model.errors import CalibrationFileError, GalenError, IdentificationError
-from galen_model.evidence.verdict import Limits
-from galen_model.files.calibration_file import calibration_path, read_calibration, write_calibration
-from galen_model.load.mounting import entities
-from galen_model.setup_check.check import SetupError
-from galen_ros.arm import arm_parameters, chosen_arm
-from galen_ros.command import (
+from galen_common.arm import arm_parameters, chosen_arm
+from galen_common.command import (
     EXIT_FAILED,
     EXIT_OK,
     ProgressLine,
@@ -35,7 +29,13 @@ from galen_ros.command import (
     terminal,
     writing,
 )
-from galen_ros.parameters import from_options
+from galen_common.parameters import from_options
+from galen_model.arm.galen import GALEN
+from galen_model.errors import CalibrationFileError, GalenError, IdentificationError
+from galen_model.evidence.verdict import Limits
+from galen_model.files.calibration_file import calibration_path, read_calibration, write_calibration
+from galen_model.load.mounting import entities
+from galen_model.setup_check.check import SetupError
 from rich.markup import escape
 
 from galen_gravcomp.evaluate.bag import BagJob, EvaluationSettings

@@ -6,10 +6,8 @@ import argparse
 from pathlib import Path
 
 from galen_bags.archive import add_results, place
-from galen_model.arm.galen import GRAVITY_M_S2
-from galen_model.evidence.verdict import Limits
-from galen_ros.arm import add_arm
-from galen_ros.command import (
+from galen_common.arm import add_arm
+from galen_common.command import (
     add_arm_topics,
     add_json,
     add_plots,
@@ -20,7 +18,9 @@ from galen_ros.command import (
     not_negative,
     positive,
 )
-from galen_ros.parameters import add_options
+from galen_common.parameters import add_options
+from galen_model.arm.galen import GRAVITY_M_S2
+from galen_model.evidence.verdict import Limits
 
 from galen_gravcomp.evaluate.drift_series import CELL_S
 from galen_gravcomp.parameters import GravcompParameters

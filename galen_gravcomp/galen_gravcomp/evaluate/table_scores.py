@@ -222,8 +222,8 @@ def evaluate_table(
 ) -> TableEvaluation:
     """Fit and score every model on a table; raises GalenError naming the obstacle.
 
-    mounting: groups to estimate beside the load, in a model of its own. progress: told what is held
-    out, how much is done, and of how much.
+    mounting: groups to estimate beside the load, in a model of its own. progress: called with what
+    is held out, how much is done, and of how much.
     """
     source_rows, phases, scatter = len(table), None, None
     read_notes = []

@@ -2,8 +2,6 @@
 
 The chain from `base_frame` to `sensor_frame` becomes an `Arm`; other branches, and joints beyond
 the sensor, don't enter. A joint of the chain that follows another one (mimic) is rejected.
-
-`PinocchioArm` is the Galen by Pinocchio, the second method that the closed forms are held against.
 """
 
 from dataclasses import replace
@@ -14,7 +12,7 @@ import pinocchio
 from numpy.typing import ArrayLike
 
 from galen_model.arm.arm import MAX_URDF_BYTES, Arm, Joint, constant
-from galen_model.arm.galen import GALEN, SENSOR_FRAME, TIP_FRAME, galen_urdf
+from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 
@@ -99,12 +97,12 @@ def _read(text: str, base_frame: str, sensor_frame: str, gravity_m_s2: ArrayLike
     pairs = list(zip(galen.joints, arm.joints, strict=True))
     if not galen.difference(arm):
         return replace(
-            galen, joints=tuple(replace(own, max_velocity=told.max_velocity) for own, told in pairs)
+            galen, joints=tuple(replace(own, max_velocity=read.max_velocity) for own, read in pairs)
         )
     # A description that was corrected has other zeros and axes of roll and tilt on the same rods.
     if galen.difference(replace(arm, joints=(*arm.joints[:3], *galen.joints[3:]))):
         return arm
-    corrected = (replace(told, home=own.home, stiffness=own.stiffness) for own, told in pairs)
+    corrected = (replace(read, home=own.home, stiffness=own.stiffness) for own, read in pairs)
     return replace(arm, joints=tuple(corrected), delta=galen.delta)
 
 
@@ -243,31 +241,3 @@ def _joint(
         # A limit of zero is how descriptions leave it out.
         max_velocity=float(model.velocityLimit[joint.idx_v]) or np.inf,
     )
-
-
-class PinocchioArm:
-    """Frame poses and Jacobians of the arm with a tip at tip_m (3,) in ft_sensor."""
-
-    def __init__(self, tip_m: ArrayLike = (0.0, 0.0, 0.0)) -> None:
-        """Build the model from the URDF."""
-        self.model = pinocchio.buildModelFromXML(galen_urdf(GALEN, tip_m))
-        self._data = self.model.createData()
-        assert tuple(self.model.names[1:]) == GALEN.joint_names
-
-    def pose(self, joints: ArrayLike, frame: str = SENSOR_FRAME) -> tuple[Array, Array]:
-        """R_base_frame (3, 3) and the frame's origin in base_link (3,), m, at joints (5,)."""
-        pinocchio.framesForwardKinematics(self.model, self._data, np.asarray(joints, dtype=float))
-        placement = self._data.oMf[self.model.getFrameId(frame)]
-        return placement.rotation.copy(), placement.translation.copy()
-
-    def jacobian(self, joints: ArrayLike, frame: str = TIP_FRAME) -> Array:
-        """Jacobian (6, 5): linear, then angular velocity of the frame in base_link's axes."""
-        return np.asarray(
-            pinocchio.computeFrameJacobian(
-                self.model,
-                self._data,
-                np.asarray(joints, dtype=float),
-                self.model.getFrameId(frame),
-                pinocchio.ReferenceFrame.LOCAL_WORLD_ALIGNED,
-            )
-        )

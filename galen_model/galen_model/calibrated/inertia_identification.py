@@ -192,7 +192,7 @@ class InertiaFit:
 
     moments (4,), moments_covariance: (m, h) without the file; file_distance: chi^2 of the
     difference to the file's, of 4 degrees of freedom, and disagrees whether noise does not make it.
-    lag_s, lag_std_s: how late the wrench's stamps are. left_over (6,): RMS, filtered. offset (6,).
+    lag_s, lag_std_s: how late the wrench's stamps are.  offset (6,).
     blocks, touched: how many there are, and how many were left out.
     """
 
@@ -202,7 +202,6 @@ class InertiaFit:
     file_distance: float
     lag_s: float
     lag_std_s: float
-    left_over: Array
     offset: Array
     blocks: int
     touched: int
@@ -263,14 +262,14 @@ def identify_inertia(record: MotionRecord, moments: Array, covariance: Array) ->
         difference @ np.linalg.solve(free.covariance[_LOAD, _LOAD] + covariance + floor, difference)
     )
     # Where the motion does not identify the mass, it is not compared.
-    told = _inverse(free.information)[0, 0] < (OTHER_MASS / 3.0 * moments[0]) ** 2
-    if told and _is_other(distance) and abs(difference[0]) > OTHER_MASS * moments[0]:
+    identified = _inverse(free.information)[0, 0] < (OTHER_MASS / 3.0 * moments[0]) ** 2
+    if identified and _is_other(distance) and abs(difference[0]) > OTHER_MASS * moments[0]:
         raise IdentificationError(
             f"the recording is of {1e3 * free.values[0]:.1f} g, the file of {1e3 * moments[0]:.1f}"
             " g on the sensor: another tool is on"
         )
     _check_there(record, fitted)
-    _check_told(fitted, moments)
+    _check_excited(fitted, moments)
     return InertiaFit(
         inertia=InertiaEstimate(fitted.values[_INERTIA], fitted.covariance[_INERTIA, _INERTIA]),
         moments=free.values[_LOAD],
@@ -278,7 +277,6 @@ def identify_inertia(record: MotionRecord, moments: Array, covariance: Array) ->
         file_distance=distance,
         lag_s=float(fitted.values[_LAG]),
         lag_std_s=float(np.sqrt(fitted.covariance[_LAG, _LAG])),
-        left_over=np.sqrt(np.mean(fitted.residuals**2, axis=0)),
         offset=fitted.values[_OFFSET],
         blocks=count,
         touched=touched,
@@ -363,7 +361,7 @@ def _solve(
 def _inverse(information: Array) -> Array:
     """Inverse of an information matrix whose parameters differ by orders of magnitude in size.
 
-    What it doesn't tell at all comes out enormous and not infinite, for `_check_told` to name.
+    What is not identifiable comes out enormous and not infinite, for `_check_excited` to name.
     """
     scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-6))
     values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
@@ -409,7 +407,7 @@ def _check_there(record: MotionRecord, fitted: _Fitted) -> None:
         )
 
 
-def _check_told(fitted: _Fitted, moments: Array) -> None:
+def _check_excited(fitted: _Fitted, moments: Array) -> None:
     """Raise NotExcitedError, naming components, unless the motion tells the inertia."""
     size = max(
         float(np.abs(fitted.values[_INERTIA]).max()),

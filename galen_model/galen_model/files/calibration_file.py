@@ -113,10 +113,10 @@ class CalibrationFile:
     model_reason: str = ""
     """By which model the load was identified, and why; empty in files from before."""
     inertia: InertiaEstimate | None = None
-    """Of tool and adapter together, where a recording of motion told it."""
+    """Of tool and adapter together, identified in a recording of motion."""
     mounting: Mounting | None = None
     cable: LearnedPull | None = None
-    """What a cable at the tool pulls beside the load, where a sweep with the cable on told it."""
+    """What a cable at the tool pulls beside the load, identified in a sweep with the cable on."""
 
     @property
     def sensor_frame(self) -> str:

@@ -1,13 +1,13 @@
 """Two calibration files side by side: what differs, and whether that is more than they can tell.
 
 A difference d of two estimates has the covariance C_a + C_b, as two calibrations don't share their
-noise; it is told in its own standard deviations. Mass and centre together are the same load if
+noise; it is given in its own standard deviations. Mass and centre together are the same load if
 
     d^T (C_a + C_b)^-1 d  <  chi^2_4(0.95)
 
 (Hotelling's test with known covariances). The covariances know the sensor's noise, and not what
 the calibration's model leaves out; calibrations on other days differ by more, where that is large.
-Offset and tip have no covariance in the file: their differences are told without a measure.
+Offset and tip have no covariance in the file: their differences are given without a measure.
 """
 
 from dataclasses import dataclass

@@ -221,10 +221,10 @@ class PoseDesign:
     def _value(self, information: Array) -> Array:
         """Phi of information (..., 10, 10); inf where it is singular."""
         lowest = np.linalg.eigvalsh(information)[..., 0]
-        told = lowest > _RIDGE * np.trace(information, axis1=-2, axis2=-1)
-        safe = np.where(told[..., None, None], information, np.eye(_PARAMETERS))
+        regular = lowest > _RIDGE * np.trace(information, axis1=-2, axis2=-1)
+        safe = np.where(regular[..., None, None], information, np.eye(_PARAMETERS))
         values = np.einsum("...pq,qp->...", np.linalg.inv(safe), self._target)
-        return np.where(told, values, np.inf)
+        return np.where(regular, values, np.inf)
 
 
 def _information(rows: Array, sigma: Array) -> Array:

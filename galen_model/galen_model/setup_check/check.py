@@ -27,8 +27,8 @@ _FITTED_KIND_GAIN = 3.0  # and then of forces and torques each that is not noise
 _ALIKE = 1.25  # residuals in this ratio are as good
 _TURNED_M_S2 = 2.0  # gravity changes by so much, root mean square, before anything is judged
 _LIGHT_N = 0.1  # and forces by so much
-_UNEXPLAINED_N = 1.0  # a residual that nothing on the list explains is told from here on
-_MOST_TOLD = 4
+_UNEXPLAINED_N = 1.0  # a residual that nothing on the list explains is reported from here on
+_MOST_NAMED = 4
 _DEAD = 0.02
 
 
@@ -70,7 +70,7 @@ class SetupFinding:
 
     Attributes:
         fit: the load that fits to the readings as they are.
-        explanations: which mistakes explain them, all about as well; those told first are more
+        explanations: which mistakes explain them, all about as well; those named first are more
             common. Empty where none on the list does.
         dead: axes of force that hardly change, where others do.
 
@@ -106,16 +106,16 @@ class SetupFinding:
             parts.append(
                 f"forces {', '.join(self.dead)} hardly change: does the sensor measure them?"
             )
-        told = self.explanations[:_MOST_TOLD]
-        for index, one in enumerate(told):
+        named = self.explanations[:_MOST_NAMED]
+        for index, one in enumerate(named):
             instead = "" if self.trouble == self.fit.fault else f", instead of {_sizes(self.fit)}"
             parts.append(
                 f"{'or' if index else 'explained by the set-up'}: {one.what}"
                 f" (residual {_sizes(one.fit)}{instead}; {one.fit.mass_kg * 1e3:.0f} g);"
                 f" remedy: {one.remedy}"
             )
-        if len(told) > 1:
-            tests = dict.fromkeys(one.test for one in told)
+        if len(named) > 1:
+            tests = dict.fromkeys(one.test for one in named)
             parts.append(f"these do alike; what separates them: {'; '.join(tests)}")
         return ". ".join(part[0].upper() + part[1:] for part in parts)
 

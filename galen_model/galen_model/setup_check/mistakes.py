@@ -280,11 +280,11 @@ def gravity(readings: StillReadings) -> Iterator[Corrected]:
     angle = float(np.arccos(np.clip(down @ expected, -1.0, 1.0)))
     if angle < LEAST_INCLINATION_RAD:
         return
-    told = " ".join(f"{value:g}" for value in np.round(size * down, 5) + 0.0)
+    gravity_text = " ".join(f"{value:g}" for value in np.round(size * down, 5) + 0.0)
     yield Corrected(
         readings.under(size * down),
         _mount(down, expected, angle, readings.arm.base_frame),
-        f"--gravity {told} (nodes: gravity_m_s2)",
+        f"--gravity {gravity_text} (nodes: gravity_m_s2)",
         f"look at how {readings.arm.base_frame} stands",
         2,
     )
@@ -362,4 +362,4 @@ KINDS: tuple[Callable[[StillReadings], Iterator[Corrected]], ...] = (
     units,
     orientation,
 )
-"""In the order in which explanations that do alike are told."""
+"""In the order in which explanations that do alike are named."""

@@ -26,9 +26,9 @@ class StillReadings:
 
     Attributes:
         wrench: (n, 6), N and N.m, taken to be in the sensor's frame.
-        gravity: (n, 3) in the sensor's frame, m/s^2, as the set-up tells it.
+        gravity: (n, 3) in the sensor's frame, m/s^2, according to the set-up.
         arm: whose sensor it is.
-        rotation: R_base_sensor (n, 3, 3) as the set-up tells it, or None where only gravity is.
+        rotation: R_base_sensor (n, 3, 3) according to the set-up, or None where only gravity is.
         angles: (n, k) of the arm's turning joints as reported, rad, or None.
 
     """

@@ -35,7 +35,7 @@ from galen_panel.recordings.reports import (
 
 NICENESS = 10
 """The arm's loop goes first."""
-_TOLD_EVERY_S = 0.2
+_REPORT_PERIOD_S = 0.2
 _READ_SHARE = 0.9
 """Of an evaluation's time; the rest is for the picture."""
 _COLUMNS = 130
@@ -49,22 +49,22 @@ def main() -> int:
     answers = _own_output()
     request = json.loads(sys.stdin.readline())
     threading.Thread(target=_end_with_panel, daemon=True).start()
-    tell = _Told(answers)
+    reporter = _Reporter(answers)
     try:
         job = {"evaluate": evaluate, "diagnose": diagnose}[request["kind"]]
         tool = None if request["tool"] is None else Path(request["tool"])
         places = Path(request["recording"]), tool, Path(request["output"])
-        result = job(*places, request["arm"], tell.progress)
+        result = job(*places, request["arm"], reporter.progress)
     except GalenError as error:
-        tell.line({"error": str(error)})
+        reporter.line({"error": str(error)})
         return 1
     except MemoryError:
-        tell.line({"error": "there is not enough memory for this recording"})
+        reporter.line({"error": "there is not enough memory for this recording"})
         return 1
     except Exception as error:
-        tell.line({"error": one_line(f"the program failed: {type(error).__name__}: {error}")})
+        reporter.line({"error": one_line(f"the program failed: {type(error).__name__}: {error}")})
         return 1
-    tell.line(result)
+    reporter.line(result)
     return 0
 
 
@@ -77,9 +77,9 @@ def evaluate(
 ) -> dict[str, Any]:
     """Do as the command `evaluate`; writes its JSON, its picture, and its terminal's report."""
     from galen_bags.formats.bag import open_bag, robot_description
+    from galen_common.arm import ArmParameters
     from galen_gravcomp.evaluate.bag import BagJob, EvaluationSettings
     from galen_gravcomp.evaluate.bag_report import report
-    from galen_ros.arm import ArmParameters
     from rich.console import Console
 
     assert tool is not None
@@ -128,20 +128,20 @@ def diagnose(
     return {"verdict": answer.verdict, "sentence": answer.sentence}
 
 
-class _Told:
+class _Reporter:
     """Lines for the panel; progress not more often than can be read."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
         self._stage = ""
-        self._told_s = -_TOLD_EVERY_S
+        self._reported_s = -_REPORT_PERIOD_S
 
     def progress(self, stage: str, share: float | None) -> None:
         """Report the progress: a share of 1, None where unknown."""
         now_s = time.monotonic()
-        if stage == self._stage and now_s - self._told_s < _TOLD_EVERY_S:
+        if stage == self._stage and now_s - self._reported_s < _REPORT_PERIOD_S:
             return
-        self._stage, self._told_s = stage, now_s
+        self._stage, self._reported_s = stage, now_s
         self.line({"stage": stage, "share": share})
 
     def line(self, content: dict[str, Any]) -> None:

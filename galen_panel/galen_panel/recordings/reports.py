@@ -119,14 +119,14 @@ class Reports:
         except OSError as error:
             raise GalenError(f"{self._directory}: can't be written: {error.strerror}") from error
 
-    def finish(self, folder: Path, told: Mapping[str, str]) -> StoredReport:
-        """List a written folder; `told` has StoredReport's fields but id and made_at.
+    def finish(self, folder: Path, fields: Mapping[str, str]) -> StoredReport:
+        """List a written folder; `fields` has StoredReport's fields but id and made_at.
 
         Raises GalenError.
         """
         at = datetime.now(UTC)
-        name = f"{at.strftime('%Y%m%dT%H%M%SZ')}_{told['kind']}_{secrets.token_hex(4)}"
-        report = StoredReport(id=name, made_at=at.isoformat(timespec="seconds"), **told)
+        name = f"{at.strftime('%Y%m%dT%H%M%SZ')}_{fields['kind']}_{secrets.token_hex(4)}"
+        report = StoredReport(id=name, made_at=at.isoformat(timespec="seconds"), **fields)
         content = {"schema_version": _SCHEMA_VERSION, **asdict(report)}
         try:
             (folder / REPORT).write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from galen_model.arm.arm import Arm
-from galen_ros.cdr import (
+from galen_common.cdr import (
     JointStateError,
     JointWire,
     Layout,
@@ -22,6 +21,7 @@ from galen_ros.cdr import (
     WrenchWire,
     stamped_layout,
 )
+from galen_model.arm.arm import Arm
 from geometry_msgs.msg import WrenchStamped
 from rclpy.context import Context
 from rclpy.node import Node

@@ -12,11 +12,11 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
+from galen_common.arm import ArmParameters
 from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError, one_line
 from galen_model.files.calibration_file import check_tool_name
-from galen_ros.arm import ArmParameters
 from galen_ros.node.parameters import Held
 from galen_ros.node.robot_description import ArmSource
 from rclpy.node import Node

@@ -1,1 +1,1 @@
-"""Goals on the arm: moving it, averaging a pose, the action's skeleton and client."""
+"""Goals on the arm: moving it, the action's skeleton and client."""

@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from action_msgs.msg import GoalStatus
+from galen_common.goal.procedure import MoveTo
 from galen_model.arm.arm import Arm
 from rclpy.action import ActionClient
 from rclpy.duration import Duration
@@ -20,7 +21,6 @@ from rclpy.node import Node
 from rclpy.subscription import Subscription
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from galen_ros.goal.procedure import MoveTo
 from galen_ros.messages import publisher_nodes
 from galen_ros.node.spin import make_executor
 

@@ -17,15 +17,7 @@ import numpy as np
 import rclpy
 from action_msgs.srv import CancelGoal
 from diagnostic_msgs.msg import DiagnosticArray
-from galen_model.errors import GalenError, ToolNameError
-from galen_model.files.calibration_file import check_tool_name
-from rclpy.action import ActionClient
-from rclpy.action.client import ClientGoalHandle
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-from unique_identifier_msgs.msg import UUID
-
-from galen_ros.command import (
+from galen_common.command import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
     EXIT_OK,
@@ -34,7 +26,15 @@ from galen_ros.command import (
     add_json,
     positive,
 )
-from galen_ros.executable import stop_signals, terminal_closed
+from galen_common.executable import stop_signals, terminal_closed
+from galen_model.errors import GalenError, ToolNameError
+from galen_model.files.calibration_file import check_tool_name
+from rclpy.action import ActionClient
+from rclpy.action.client import ClientGoalHandle
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from unique_identifier_msgs.msg import UUID
+
 from galen_ros.node.spin import init_ros
 from galen_ros.rclpy_workarounds import guard_parameter_services
 

@@ -21,12 +21,12 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any, ClassVar, TypeVar
 
+from galen_common.parameters import param
 from galen_model.errors import GalenError
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 
 from galen_ros.node.diagnostics import ERROR, WARN, DiagnosticsPublisher, Status
 from galen_ros.node.parameters import Held, declare_parameters
-from galen_ros.parameters import param
 from galen_ros.rclpy_workarounds import destroy_all, guard_transitions, leave_graph
 
 T = TypeVar("T")

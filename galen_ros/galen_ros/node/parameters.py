@@ -1,4 +1,4 @@
-"""Declare on a node the parameters of a frozen dataclass (`galen_ros.parameters`)."""
+"""Declare on a node the parameters of a frozen dataclass (`galen_common.parameters`)."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from collections.abc import Callable, Sequence
 from difflib import get_close_matches
 from typing import Any, Generic, TypeVar, cast
 
+from galen_common.parameters import Meaning, ParameterError, checked, param_fields, wanted
 from galen_model.errors import GalenError
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from galen_ros.parameters import Meaning, ParameterError, checked, param_fields, wanted
 from galen_ros.rclpy_workarounds import guard_parameter_services
 
 T = TypeVar("T")

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from galen_common.arm import ArmParameters
 from galen_model.arm.arm import Arm
 from galen_model.errors import GalenError
 from rclpy.node import Node
 from std_msgs.msg import String
 
-from galen_ros.arm import ArmParameters
 from galen_ros.messages import LATCHED
 from galen_ros.node.parameters import Held
 

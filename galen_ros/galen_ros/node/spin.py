@@ -17,6 +17,7 @@ from types import FrameType
 from typing import IO, TypeVar
 
 import rclpy
+from galen_common.executable import interrupted, stop_signals, terminal_closed
 from galen_model.errors import GalenError
 from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
 from rclpy.context import Context
@@ -26,7 +27,6 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import ok, try_shutdown
 
-from galen_ros.executable import interrupted, stop_signals, terminal_closed
 from galen_ros.node.parameters import warn_of_unknown_parameters
 
 N = TypeVar("N", bound=Node)

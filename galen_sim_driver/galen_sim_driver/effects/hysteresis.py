@@ -74,11 +74,11 @@ from functools import cache, partial
 from typing import ClassVar, Self
 
 import numpy as np
+from galen_common.parameters import param
 from galen_model.arm.arm import Arm
 from galen_model.arrays import Array
 from galen_model.load.model import TOOLS
 from galen_model.registration import move_twist
-from galen_ros.parameters import param
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq, minimize_scalar
 from scipy.special import lambertw
@@ -255,8 +255,8 @@ class _Memory:
     ) -> tuple[Array, Array]:
         """States (n, k) under loads (n, k), and the largest loads (k,).
 
-        typical: loads to take for the largest where there is but one sample; slider(peak): the
-        law, in units of the load, of all that have that peak (k,).
+        typical: loads to take for the largest where there is but one sample; slider(peak): how
+        the states follow the load, for all that have that peak (k,).
         """
         if self._peak is None or self._load is None or self._state is None:
             self._peak = np.abs(loads).max(axis=0) if len(loads) > 1 else typical()
@@ -375,8 +375,8 @@ class DeflectionHysteresis(Effect):
             first = last
 
     def _at_tip(self, memory: _Memory, loading: Loading) -> Array:
-        law = partial(_bouc_wen, self.knee)
-        states, peak = memory.states(loading.elastic, partial(_typical_tip, loading), law)
+        slider = partial(_bouc_wen, self.knee)
+        states, peak = memory.states(loading.elastic, partial(_typical_tip, loading), slider)
         turned = -np.expm1(-1.0 / self.knee)
         fraction, soft = self.residual_fraction, 1.0 + self.softness
         size = fraction * soft / (turned**2 + self.side * fraction * turned)
@@ -387,7 +387,7 @@ class DeflectionHysteresis(Effect):
         arm = loading.arm
         columns = columns_at(loading)
         loads = np.einsum("nij,ni->nj", columns, loading.wrench)
-        # Below the least fraction the law is taken for proportional to it.
+        # Below the least fraction the deflection is taken for proportional to it.
         fraction = max(self.residual_fraction, _LEAST_FRACTION)
         ratio, way = shape(fraction)
         unit = load_of(ratio, way)

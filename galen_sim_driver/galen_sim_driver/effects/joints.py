@@ -61,12 +61,12 @@ from functools import lru_cache
 from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
+from galen_common.parameters import param
 from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
 from galen_model.load.mounting import inclination, inclination_axes
 from galen_model.rotation import rot_x, rot_y, rot_z
-from galen_ros.parameters import param
 
 from galen_sim_driver.effects.effect import (
     ConfigError,

@@ -44,12 +44,12 @@ from functools import lru_cache
 from typing import ClassVar, Self
 
 import numpy as np
+from galen_common.parameters import param
 from galen_model.arm.arm import Arm
 from galen_model.arrays import Array
 from galen_model.load.inertia import LoadInMotion, inertial_wrench, point_mass_inertia
 from galen_model.load.model import Load
 from galen_model.rotation import skew
-from galen_ros.parameters import param
 from numpy.typing import ArrayLike
 
 from galen_sim_driver.effects.effect import ConfigError, Effect, Fitted, Instants, Posture
@@ -141,8 +141,8 @@ class InertialLoad(Effect):
         loads = (posture.tool, posture.adapter)
         if motion is None or sum(load.mass_kg for load in loads) <= 0.0:
             return None
-        told = tuple((load.mass_kg, *np.asarray(load.com_m).tolist()) for load in loads)
-        moments, inertia = _numbers(self.mass_kg, told)
+        masses = tuple((load.mass_kg, *np.asarray(load.com_m).tolist()) for load in loads)
+        moments, inertia = _numbers(self.mass_kg, masses)
         inertia = inertia + np.array(self.own_inertia_kg_m2)
         moved = (-motion.acceleration_m_s2, motion.velocity_rad_s, motion.acceleration_rad_s2)
         if len(when) == 1:  # a driver's sample: some ten times as fast

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import fields, replace
 from typing import Any
 
+from galen_common.parameters import ParameterError, checked, param_fields
 from galen_model.arm.arm import Arm
-from galen_ros.parameters import ParameterError, checked, param_fields
 
 from galen_sim_driver.effects.effect import ConfigError, Effect
 from galen_sim_driver.effects.hysteresis import DeflectionHysteresis
@@ -108,17 +108,10 @@ def identity_of(name: str, parameters: Mapping[str, Any]) -> str:
 def contract_parameters(effect: Effect) -> dict[str, Any]:
     """Return the effect's numbers under the contract's names, as JSON has them."""
     own = [f.name for f in fields(effect) if "param" in f.metadata]
-    return _named(effect, [name for name in own if name not in effect.beyond_contract])
-
-
-def extra_parameters(effect: Effect) -> dict[str, Any]:
-    """Return the numbers that the contract doesn't name, as JSON has them."""
-    return _named(effect, effect.beyond_contract)
-
-
-def _named(effect: Effect, of: Iterable[str]) -> dict[str, Any]:
     named: dict[str, Any] = {}
-    for field in of:
+    for field in own:
+        if field in effect.beyond_contract:
+            continue
         value = getattr(effect, field)
         group, _, entry = effect.contract_names.get(field, field).partition(".")
         if not entry:
@@ -140,23 +133,23 @@ def effect_from(name: str, parameters: Mapping[str, Any], arm: Arm) -> Effect:
         raise ConfigError(f"no effect '{name}'; known: {', '.join(EFFECTS)}")
     kind = _kind(name, arm)
     own = param_fields(kind)
-    names = {told: field for field, told in kind.contract_names.items()}
+    names = {key: field for field, key in kind.contract_names.items()}
     values = {}
-    for told, value in _flat(parameters).items():
-        field = names.get(told, told)
+    for key, value in _flat(parameters).items():
+        field = names.get(key, key)
         if field not in own:
             known = ", ".join(kind.contract_names.get(other, other) for other in own)
-            raise ConfigError(f"{name}: no parameter '{told}'; known: {known}")
+            raise ConfigError(f"{name}: no parameter '{key}'; known: {known}")
         hint, default, meaning = own[field]
         plain = value.tolist() if hasattr(value, "tolist") else value
         try:
-            values[field] = checked(told, plain, hint, meaning)
+            values[field] = checked(key, plain, hint, meaning)
         except ParameterError as error:
             raise ConfigError(f"{name}: {error}") from None
         wanted = len(default) if isinstance(default, tuple) else 0
         if wanted and len(values[field]) != wanted:
             raise ConfigError(
-                f"{name}: {told} has {len(values[field])} numbers, but must have {wanted}"
+                f"{name}: {key} has {len(values[field])} numbers, but must have {wanted}"
             )
     effect = kind(**values)
     if isinstance(effect, AtJoint):

@@ -28,10 +28,10 @@ from functools import lru_cache
 from typing import ClassVar, Self
 
 import numpy as np
+from galen_common.parameters import param
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.rotation import rotvec_to_matrix
-from galen_ros.parameters import param
 
 from galen_sim_driver.effects.effect import (
     BAG_ORDER,

@@ -1,0 +1,1 @@
+"""What nodes and commands share without ROS: parameters, command layer, streams, procedures."""

@@ -1,0 +1,1 @@
+"""Goals on the arm without ROS: the procedure, arrival and average of a pose."""

@@ -1,0 +1,21 @@
+from setuptools import find_packages, setup
+
+package_name = "galen_common"
+
+setup(
+    name=package_name,
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    package_data={"": ["*.html", "*.css"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/" + package_name]),
+        ("share/" + package_name, ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    zip_safe=True,
+    maintainer="The Galen suite's authors",
+    maintainer_email="galen@example.org",
+    description="What nodes and commands share without ROS.",
+    license="Apache-2.0",
+    entry_points={"console_scripts": []},
+)

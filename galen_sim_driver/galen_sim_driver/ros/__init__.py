@@ -1,0 +1,1 @@
+"""What needs ROS: nodes, and commands that talk to them."""

@@ -1,0 +1,272 @@
+"""A set's course: plan, make, seal; and have this program answer in a process kept from labels.
+
+    SET/recordings/   what a diagnosis gets: bags, tool.json, arm.urdf
+    SET/README.md     the rules in short
+    SET/labels.sha256 the hash of labels.json, as `sha256sum -c` takes it
+    SET.labels/       beside it, for this user alone: plan.json, a label each, labels.json
+    SET.answers/      what `run` has this program and the baselines answer, a folder each
+
+Names, sizes, stamps and counts of a recording depend on its own seed alone, and bags bear one time
+of change. What this doesn't keep out: a program that finds the seed and simulates the arm itself,
+and where there is no Landlock, one that reads SET.labels.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from galen_bags.many import run_many
+from galen_common.command import EXIT_INTERRUPTED, EXIT_OK, writing
+from galen_diagnosis.answer.answer import NONE
+from galen_model.arm.galen import GALEN
+from galen_model.errors import GalenError
+from galen_model.files.atomic_file import write_whole
+from galen_model.json_fields import FieldError, read_json
+from galen_sim_driver.effects.registry import contract_parameters, identities
+
+from galen_validation.blind.case import STRENGTHS, Case, Truth, generate
+from galen_validation.blind.causes import listed
+from galen_validation.blind.labels import (
+    LABELS,
+    SEAL,
+    Label,
+    LabelKind,
+    beside,
+    label_from_json,
+    published_sha256,
+    sealed,
+)
+from galen_validation.blind.mujoco_arm import require_mujoco
+from galen_validation.blind.session import six_axis
+from galen_validation.blind.unlisted import NEED_SPRINGS, TEST_UNKNOWN
+
+DIAGNOSING = (sys.executable, "-m", "galen_validation.blind.diagnosing")
+_PAIRS_PER_CLASS = 15
+_KINDS: dict[str, LabelKind] = {
+    NONE: "none", "single": "single", "pair": "pair", "ambiguous": "ambiguous",
+    "unknown_test": "unknown",
+}  # fmt: skip
+_SHORT = (
+    (NONE, (), "clear", "galen"),
+    ("single", ("joint_zero_offset:tilt",), "gross", "galen"),
+    ("single", ("bias_step",), "clear", "galen"),
+    ("single", ("tool_mass_error",), "clear", "galen"),
+    ("pair", ("axis_gain", "tracker_scale"), "clear", "galen"),
+    ("unknown_test", ("rattling_mass",), "gross", "galen"),
+)
+"""One of each sort, for a check of the program and not of its rates."""
+
+Sort = tuple[str, tuple[str, ...], str, str]
+"""Kind, effects, strength and arm of a case."""
+
+Generate = Callable[[Case, Path], Truth]
+
+_RULES = """# A blind set of recordings
+
+Each folder in `recordings/` holds the bags `sweep`, `motion` and `push` (MCAP; some have no `push`)
+of an arm with a force/torque sensor, `tool.json` (the tool as it was calibrated) and `arm.urdf`.
+Each hides one cause of the gap between arm and model, two, one that is on no list, or none.
+
+1. Answer from these files alone, each recording by itself. No answer may depend on another
+   recording, on file times or names, or on a simulation with this set's seed.
+2. An answer is `ANSWERS/<recording>/diagnosis.json` or `ANSWERS/<recording>.json`; one that is
+   missing or malformed counts as wrong.
+3. Freeze the program and publish the SHA-256 of your answers before `labels.json` is published.
+   `sha256sum -c labels.sha256` then shows that no label has changed.
+
+The page docs/benchmark.md of the suite Galen has the format of an answer and the scores. Effects
+and their parameters, SI units; `joint` is a field of the cause, like `effect`:
+
+"""
+
+
+def rules() -> str:
+    """Return the README of a set: rules, and the list's effects with their parameters."""
+    lines = []
+    for name, effect in {one.name: one for one in identities(GALEN).values()}.items():
+        named = contract_parameters(effect) or {"stiffness": "by joint"}
+        parts = [
+            f"{key}[{len(value)}]" if isinstance(value, list) else key
+            for key, value in named.items()
+        ]
+        lines.append(f"- `{name}`: {', '.join(parts)}\n")
+    return _RULES + "".join(lines)
+
+
+def full_plan(seed: int, per_class: int, healthy: int) -> dict[str, Case]:
+    """Plan a set: cases by the names of their recordings.
+
+    `per_class` recordings of each listed effect at each strength and of each unlisted one that is
+    clear and gross, 15 pairs and two twins for each of these, and `healthy` ones. Every fourth is
+    of the six-joint arm. Joints, pairs and twins are drawn.
+    """
+    random = np.random.default_rng([seed, 1])
+    rigid = [name for name in TEST_UNKNOWN if name not in NEED_SPRINGS]
+    shown = {"galen": [*listed(GALEN), *TEST_UNKNOWN], "six_axis": [*listed(six_axis()), *rigid]}
+    classes = list(dict.fromkeys(name.partition(":")[0] for name in listed(GALEN)))
+    wanted = [("single", effect, s) for effect in classes for s in STRENGTHS]
+    wanted += [("unknown_test", name, s) for name in TEST_UNKNOWN for s in ("clear", "gross")]
+    wanted += [("pair", "", "clear")] * _PAIRS_PER_CLASS + [("ambiguous", "", "clear")] * 2
+    wanted = [*wanted * per_class, *[(NONE, "", "clear")] * healthy]
+    sorts: list[Sort] = []
+    for number, (kind, effect, strength) in enumerate(wanted):
+        at = {
+            arm: [x for x in names if x.partition(":")[0] == effect] for arm, names in shown.items()
+        }
+        arm = "six_axis" if number % 4 == 3 and (at["six_axis"] or not effect) else "galen"
+        names = (at[arm][random.integers(len(at[arm]))],) if effect else ()
+        sorts.append((kind, names, strength, arm))
+    return _named(sorts, seed)
+
+
+def short_plan(seed: int) -> dict[str, Case]:
+    """Plan one recording of each sort."""
+    return _named(_SHORT, seed)
+
+
+def _named(sorts: Sequence[Sort], seed: int) -> dict[str, Case]:
+    """Give cases seeds and names, in whose order they come: at random, it shows no sort."""
+    random = np.random.default_rng(np.random.SeedSequence(seed))
+    names = random.choice(16**6, size=len(sorts), replace=False)
+    seeds = random.integers(0, 2**31 - 1, size=len(sorts))
+    planned = {
+        f"recording_{int(name):06x}": Case(int(own), kind, effects, strength, arm=arm)
+        for name, own, (kind, effects, strength, arm) in zip(names, seeds, sorts, strict=True)
+    }
+    return dict(sorted(planned.items()))
+
+
+def make(
+    folder: Path,
+    wanted: Mapping[str, int | bool],
+    seed: int | None,
+    workers: int | None,
+    generate: Generate = generate,
+) -> str:
+    """Make a set, or what it lacks; returns the SHA-256 of its labels.
+
+    wanted: `per_class`, `healthy` and `short`, as the command's options. seed: None for a random
+    one. Raises GalenError.
+    """
+    private = beside(folder, "labels")
+    begun = _begun(folder, private / "plan.json")
+    used = secrets.randbits(64) if seed is None else seed
+    if begun is not None:
+        used = begun["seed"] if seed is None else seed
+        if begun != {**wanted, "seed": used}:
+            raise GalenError(f"{folder}: was begun with other options; give another folder")
+        if (folder / SEAL).exists():
+            return published_sha256(folder)
+    plan = {**wanted, "seed": used}
+    cases = (
+        short_plan(used)
+        if wanted["short"]
+        else full_plan(used, int(wanted["per_class"]), int(wanted["healthy"]))
+    )
+    require_mujoco()
+    recordings = folder / "recordings"
+    with writing(folder):
+        recordings.mkdir(parents=True, exist_ok=True)
+        private.mkdir(mode=0o700, exist_ok=True)
+        if begun is None:
+            write_whole(private / "plan.json", json.dumps(plan))
+        (folder / "README.md").write_text(rules(), encoding="utf-8")
+    one = partial(make_one, cases=cases, private=private, generate=generate)
+    for outcome in run_many(one, [recordings / name for name in cases], workers=workers):
+        if outcome.error is not None:
+            raise GalenError(f"a recording couldn't be made: {outcome.error}")
+    for path in (*sorted(recordings.rglob("*"), reverse=True), recordings):
+        os.utime(path, (_SAME_TIME_S, _SAME_TIME_S))
+    text, published = sealed(plan, [_label(private / f"{name}.json") for name in cases])
+    with writing(folder):
+        write_whole(private / LABELS, text)
+        write_whole(folder / SEAL, f"{published}  {LABELS}\n")
+    return published
+
+
+_SAME_TIME_S = 946_684_800
+"""2000-01-01: the time that every recorded file bears."""
+
+
+def _begun(folder: Path, plan: Path) -> dict[str, Any] | None:
+    """Return the plan of a set that was begun; raises GalenError where something else is there."""
+    if not plan.exists():
+        if folder.exists() and any(folder.iterdir()):
+            raise GalenError(f"{folder}: isn't empty, and no set was begun in it")
+        return None
+    try:
+        return dict(read_json(plan, 10_000, "a plan"))
+    except (OSError, FieldError, TypeError, ValueError) as error:
+        raise GalenError(f"{plan}: can't be read: {error}") from error
+
+
+def make_one(
+    recording: Path, cases: Mapping[str, Case], private: Path, generate: Generate = generate
+) -> None:
+    """Make one recording, if it isn't there whole, its label last; called in any process."""
+    case, label = cases[recording.name], private / f"{recording.name}.json"
+    if label.exists() and recording.exists():
+        return
+    work = private / f"{recording.name}.work"
+    for old in (work, recording):
+        shutil.rmtree(old, ignore_errors=True)
+    truth = generate(case, work)
+    if not (work / "arm.urdf").exists():
+        (work / "arm.urdf").write_text(GALEN.urdf, encoding="utf-8")
+    made = Label(
+        recording=recording.name,
+        kind=_KINDS[case.kind],
+        effects=truth.effects,
+        strength=truth.strength,
+        d=min(truth.d, default=None),
+        acceptable=truth.acceptable,
+        arm=case.arm,
+    )
+    shutil.move(work, recording)
+    write_whole(label, json.dumps(asdict(made)))
+
+
+def _label(path: Path) -> Label:
+    try:
+        return label_from_json(read_json(path, 1_000_000, "a label"))
+    except (OSError, FieldError) as error:
+        raise GalenError(f"{path}: a label can't be read: {error}") from error
+
+
+def diagnose(folder: Path, workers: int | None, command: Sequence[str] = DIAGNOSING) -> None:
+    """Have the diagnosing process answer what has no answer yet; raises GalenError."""
+    private, answers = beside(folder, "labels").resolve(), beside(folder, "answers")
+    with writing(answers):
+        answers.mkdir(exist_ok=True)
+    options = [] if workers is None else ["--workers", str(workers)]
+    with (
+        tempfile.TemporaryDirectory(prefix="galen_blind_check_") as temporary,
+        subprocess.Popen(
+            [*command, str(folder / "recordings"), str(answers), str(private), *options],
+            env={**os.environ, "TMPDIR": temporary, "PYTHONPATH": os.pathsep.join(sys.path)}
+            | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
+            start_new_session=True,
+        ) as process,
+    ):
+        try:
+            code = process.wait()
+        except BaseException:
+            os.killpg(process.pid, signal.SIGINT)
+            raise
+    if code == EXIT_INTERRUPTED:
+        raise KeyboardInterrupt
+    if code != EXIT_OK:
+        raise GalenError(f"the diagnosing process ended with {code}")

@@ -1,0 +1,314 @@
+"""One blind case: a hidden cause in a drawn session, its recording and its truth.
+
+How strong a cause is, D, is its distance from no cause in standard deviations: with d what it
+changes of the whitened rows of the same arm's healthy recording, and N their unknowns and
+tolerances with their prior S,
+
+    D^2 = d^T d - b^T (N^T N + S^-1)^-1 b,    b = N^T d.
+
+What other effects leave of D, each by its linear templates (`baselines.templates`), shows which
+names this recording can't separate from the true one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from galen_diagnosis.effects.candidates import unknown_columns
+from galen_diagnosis.effects.forms import healthy_background
+from galen_diagnosis.observation.observation import Observation
+from galen_diagnosis.observation.recording import BagData, DiagnosticRecording, Track
+from galen_model.arrays import Array
+from galen_model.errors import GalenError
+from galen_sim_driver.effects.effect import Effect, Instants, Loading
+from scipy.spatial.transform import Rotation
+
+from galen_validation.blind.baselines import templates
+from galen_validation.blind.causes import NEED_PUSHES, Cause, listed, pairs, twins
+from galen_validation.blind.measuring import (
+    Measurement,
+    draw_tolerance,
+    recorded,
+    tool_file,
+    write_recording,
+)
+from galen_validation.blind.session import ARMS, BAGS, draw_session
+from galen_validation.blind.unlisted import (
+    CALIBRATION_UNKNOWN,
+    NEED_SPRINGS,
+    TEST_UNKNOWN,
+    UNLISTED,
+)
+
+STRENGTHS = {"faint": 6.0, "clear": 30.0, "gross": 150.0}
+"""D of each."""
+
+KINDS = ("none", "single", "pair", "unknown_calibration", "unknown_test", "ambiguous")
+
+TELLABLE = 3.3
+"""Two causes nearer to each other than this can't be separated: 5 % errors each way, 2 x 1.65."""
+_PARTED = 2.0 * TELLABLE
+"""What has to stay of a cause beside the other of a pair, or of an unlisted one beside any."""
+_REDRAWS = 3
+_NEAR = 1.25
+_STEPS = 5
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is asked for; what isn't given, the seed draws.
+
+    effects: names, () to let the seed draw them from the kind's list. bags: those that are
+    recorded. tolerance: of the healthy arm, 1 as it usually is, 0 for exactly nominal. arm: one of
+    ARMS.
+    """
+
+    seed: int
+    kind: str
+    effects: tuple[str, ...] = ()
+    strength: str = "clear"
+    bags: tuple[str, ...] = BAGS
+    tolerance: float = 1.0
+    arm: str = "galen"
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What a case hides.
+
+    effects: as in the contract's truth.json, with the `member` of those that have models. d: D of
+    each; of an unlisted one what the best listed
+    effect leaves. acceptable: for each the names that this recording can't separate from it.
+    """
+
+    strength: str = ""
+    effects: tuple[dict[str, Any], ...] = ()
+    d: tuple[float, ...] = ()
+    acceptable: tuple[tuple[str, ...], ...] = ()
+
+
+def generate(case: Case, directory: Path) -> Truth:
+    """Write the case's recording into a new directory; returns what it hides.
+
+    Raises GalenError.
+    """
+    if directory.exists() and any(directory.iterdir()):
+        raise GalenError(f"{directory}: is there already, and isn't empty")
+    if case.arm not in ARMS:
+        raise GalenError(f"{case.arm!r} is no arm of the blind check; there are {', '.join(ARMS)}")
+    arm = ARMS[case.arm]()
+    bags = tuple(b for b in case.bags if case.kind != "ambiguous" or b != "push")
+    session = draw_session(case.seed, bags, arm=arm)
+    changed, truth = (
+        Measurement(session, draw_tolerance(case.seed, case.tolerance, arm=arm)),
+        Truth(),
+    )
+    if case.kind != "none":
+        changed, truth = _hidden(case, _Yardstick(changed))
+    directory.mkdir(parents=True, exist_ok=True)
+    write_recording(directory, changed)
+    return truth
+
+
+def observed(measured: Measurement) -> DiagnosticRecording:
+    """Return what reading the recording gives, without writing it."""
+    samples = recorded(measured)
+    first_ns = {bag: min(s.joint_ns[0], s.wrench_ns[0]) for bag, s in samples.items()}
+    bags = {}
+    for bag, s in samples.items():
+        joint_s, wrench_s, tracker_s = (
+            1e-9 * (stamps - first_ns[bag]) for stamps in (s.joint_ns, s.wrench_ns, s.tracker_ns)
+        )
+        tool, base = (None if one is None else Track(tracker_s, *one) for one in (s.tool, s.base))
+        start_s = 1e-9 * (first_ns[bag] - min(first_ns.values()))
+        bags[bag] = BagData(
+            bag, start_s, joint_s, s.joints, wrench_s, s.readings, tool, base
+        )  # fmt: skip
+    session = measured.session
+    missing = tuple(bag for bag in BAGS if bag not in bags)
+    return DiagnosticRecording("healthy", tool_file(session), bags, missing, (), session.arm)
+
+
+@dataclass(frozen=True)
+class _Difference(Effect):
+    """What causes change of a measurement, as an effect that the diagnosis' rows can take."""
+
+    name: ClassVar[str] = "difference"
+    fitted: ClassVar[tuple[Any, ...]] = ()
+    healthy: Any = None
+    changed: Any = None
+
+    def _reading(self, when: Instants) -> Array:
+        at = when.bag, when.bag_s
+        return np.asarray(self.changed.reading(*at) - self.healthy.reading(*at))
+
+    def read(self, when: Instants, wrench: Array) -> Array:
+        """Add the reading's change."""
+        return wrench + self._reading(when)
+
+    def unread(self, when: Instants, reading: Array) -> Array:
+        """Subtract it."""
+        return reading - self._reading(when)
+
+    def deflect(self, when: Instants, loading: Loading) -> Array | None:
+        """Return the tip's change."""
+        at = when.bag, when.bag_s
+        return self._moved(self.changed.tool_pose(*at), self.healthy.tool_pose(*at))
+
+    def base_marker(self, when: Instants) -> Array | None:
+        """Return the marker's change."""
+        at = when.bag, when.bag_s
+        return self._moved(self.changed.base_pose(*at), self.healthy.base_pose(*at))
+
+    def _moved(self, one: tuple[Array, Array], other: tuple[Array, Array]) -> Array:
+        base = self.healthy.session.base[0]
+        turn = Rotation.from_matrix(one[0] @ np.swapaxes(other[0], 1, 2)).as_rotvec()
+        return np.concatenate([(one[1] - other[1]) @ base, turn @ base], axis=1)
+
+
+class _Yardstick:
+    """Measures causes in one session, in the rows of its healthy recording."""
+
+    def __init__(self, healthy: Measurement) -> None:
+        self.healthy = healthy
+        self._observation = Observation(observed(healthy))
+        self._behind = healthy_background(self._observation)
+        self._directions: list[tuple[str, Array]] = []
+
+    def with_causes(self, causes: Sequence[Cause]) -> Measurement:
+        """Return the same arm with causes."""
+        return Measurement(self.healthy.session, self.healthy.tolerance, causes, self.healthy)
+
+    def difference(self, changed: Measurement) -> Array:
+        """d: what its causes change of the rows (N,)."""
+        return self._observation.change([_Difference(self.healthy, changed)])
+
+    def strength(self, difference: Array) -> float:
+        """D of a difference."""
+        return math.sqrt(max(0.0, self._behind.sum_of_squares(difference)))
+
+    def left(self, difference: Array) -> dict[str, float]:
+        """D that each listed effect, as large as it likes, leaves of a difference."""
+        if not self._directions:
+            unknowns = unknown_columns(self._observation)
+            self._directions = [
+                (name, self._across(columns))
+                for name, columns in templates(self._observation, unknowns)
+            ]
+        rows = self._behind.left(difference)
+        whole = self._behind.sum_of_squares(difference)
+        found: dict[str, float] = {}
+        for name, directions in self._directions:
+            rest = whole - float(np.sum((rows @ directions) ** 2))
+            found[name] = min(math.sqrt(max(0.0, rest)), found.get(name, math.inf))
+        return found
+
+    def _across(self, columns: Array) -> Array:
+        """Return combinations (N, k) of columns, of unit length each after the background's fit."""
+        norms = np.linalg.norm(columns, axis=0)
+        columns = columns[:, norms > 0.0] / norms[norms > 0.0]
+        gram, _ = self._behind.reduced(columns, np.zeros(len(columns)))
+        size, vectors = np.linalg.eigh(gram)
+        good = size > 1e-9
+        return np.asarray(columns @ (vectors[:, good] / np.sqrt(size[good])))
+
+    def left_by_best(self, difference: Array) -> float:
+        """D that the best of them leaves."""
+        return min(self.left(difference).values())
+
+    def sized(
+        self, cause: Cause, wanted: float, measure: Callable[[Array], float]
+    ) -> tuple[Measurement, Array]:
+        """Return the arm with the cause as large as this D asks, or its largest, and d.
+
+        D goes about with the size; where that leaves what is known to hold it, halves follow.
+        """
+        low, high = 0.0, math.inf
+        steps = _STEPS if cause.changes_motion else 3 * _STEPS
+        for step in range(steps):
+            changed = self.with_causes([cause])
+            difference = self.difference(changed)
+            reached, size = measure(difference), abs(cause.size)
+            too_small = reached < wanted
+            if 1.0 / _NEAR < reached / wanted < _NEAR or (too_small and size >= cause.largest):
+                break
+            low, high = (size, high) if too_small else (low, size)
+            following = size * float(np.clip(wanted / max(reached, 1e-9), 0.1, 10.0))
+            if not low < following < high:
+                following = 0.5 * (low + min(high, 2.0 * cause.largest))
+            if step < steps - 1:
+                cause = cause.resized(math.copysign(following, cause.size))
+        return changed, difference
+
+
+def _hidden(case: Case, yardstick: _Yardstick) -> tuple[Measurement, Truth]:
+    """Draw causes, give them their strength, and say what can't be separated from them."""
+    rng, arm = np.random.default_rng([case.seed, 3]), yardstick.healthy.session.arm
+    known = listed(arm)
+    draws = {**known, **UNLISTED, **(twins(arm) if case.kind == "ambiguous" else {})}
+    for _ in range(_REDRAWS):
+        names = case.effects or _drawn(rng, case, yardstick.healthy)
+        if strange := [name for name in names if name not in draws]:
+            raise GalenError(f"{strange[0]!r} is no cause of the arm {case.arm}")
+        alone: list[Measurement] = []
+        strengths: list[float] = []
+        lefts: list[dict[str, float]] = []
+        for name in names:
+            measure = yardstick.left_by_best if name in UNLISTED else yardstick.strength
+            changed, difference = yardstick.sized(
+                draws[name](rng, yardstick.healthy), STRENGTHS[case.strength], measure
+            )
+            alone.append(changed)
+            strengths.append(measure(difference))
+            lefts.append(yardstick.left(difference))
+        if case.kind == "pair" and _parted(names, lefts) < _PARTED:
+            continue
+        if names[0] not in UNLISTED or strengths[0] >= _PARTED:
+            break
+    causes = [cause for one in alone for cause in one.causes]
+    together = alone[0] if len(alone) == 1 else yardstick.with_causes(causes)
+    effects = tuple(
+        {
+            "effect": cause.name.partition(":")[0],
+            "parameters": dict(cause.truth(cause.size, together)),
+            **({"member": cause.member} if cause.member else {}),
+        }
+        for cause in causes
+    )
+    rows = zip(names, strengths, lefts, strict=True)
+    acceptable = tuple(_acceptable(*row) for row in rows)
+    return together, Truth(case.strength, effects, tuple(strengths), acceptable)
+
+
+def _acceptable(name: str, strength: float, left: dict[str, float]) -> tuple[str, ...]:
+    if name in UNLISTED:
+        return ("unknown",)
+    others = [other for other, rest in left.items() if rest < TELLABLE and other != name]
+    return (name, *others, *(["none"] if strength < TELLABLE else []))
+
+
+def _parted(names: Sequence[str], lefts: Sequence[dict[str, float]]) -> float:
+    """D that either of a pair leaves of the other, the smaller one."""
+    first, second = names
+    return min(lefts[0].get(second, math.inf), lefts[1].get(first, math.inf))
+
+
+def _drawn(rng: np.random.Generator, case: Case, healthy: Measurement) -> tuple[str, ...]:
+    arm = healthy.session.arm
+    there = [e for e in listed(arm) if "push" in healthy.session.takes or e not in NEED_PUSHES]
+    shows = [e for e in UNLISTED if arm.stiffness or e not in NEED_SPRINGS]
+    lists: dict[str, list[tuple[str, ...]]] = {
+        "single": [(name,) for name in there],
+        "pair": [pair for pair in pairs(arm) if set(pair) <= set(there)],
+        "unknown_calibration": [(name,) for name in shows if name in CALIBRATION_UNKNOWN],
+        "unknown_test": [(name,) for name in shows if name in TEST_UNKNOWN],
+        "ambiguous": [(name,) for name in twins(arm)],
+    }
+    if case.kind not in lists:
+        raise GalenError(f"{case.kind!r} is no kind of case; there are {', '.join(KINDS)}")
+    return lists[case.kind][rng.integers(len(lists[case.kind]))]

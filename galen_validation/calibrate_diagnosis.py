@@ -1,0 +1,267 @@
+"""Calibrates the few numbers of the evidence on simulated recordings with known causes.
+
+    python -m galen_validation.calibrate_diagnosis CASES [--per-class N] [--write]
+
+makes recordings by the blind arm, with seeds and unknown kinds that `blind_check` never uses,
+explores each (CASES keeps what came out, so that a run can be taken up again), and fits the
+settings of `posterior.py` to the largest mean log probability of what was there, every kind of case
+counting the same, with a prior about the settings' defaults. Half of the sessions are fitted, the
+other half tells whether that holds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import tempfile
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from galen_common.command import EXIT_OK, run_command
+from galen_diagnosis.answer.answer import NONE
+from galen_diagnosis.inference.diagnosing import explore
+from galen_diagnosis.inference.posterior import Probabilities, Scored, Settings, posterior
+from galen_diagnosis.observation.recording import read_recording
+from galen_model.errors import GalenError
+from galen_model.files.atomic_file import write_whole
+from scipy.optimize import minimize
+from tqdm import tqdm
+
+from galen_diagnosis import inference
+from galen_validation.blind.case import Case, generate
+from galen_validation.blind.causes import EFFECTS, PAIRS
+from galen_validation.blind.unlisted import CALIBRATION_UNKNOWN
+
+FIRST_SEED = 7_000_000
+"""Seeds from here on are calibration's."""
+
+_FAINT = 0.5
+_LEAST = 1e-3
+"""A single case costs no more than this probability: the plant itself may be odd, too."""
+
+_SPREAD = (0.3, 0.5, 0.5, 0.5, 0.7, 0.4)
+"""Prior of the settings' logarithms about where they start."""
+
+
+@dataclass(frozen=True)
+class Known:
+    """A calibration case: what was there and what the search made of it."""
+
+    kind: str
+    strength: str
+    acceptable: tuple[frozenset[str], ...]
+    scored: tuple[Scored, ...]
+
+    def chance(self, of: Probabilities) -> float:
+        """Probability of what was there: sets of effects that hold one acceptable name for each."""
+        if self.kind == "none":
+            return of.none
+        # What looks like a healthy arm may be called so. A faint cause can, just: "none" is half
+        # right there, as it is better than any other cause.
+        right = _FAINT * of.none if self.strength == "faint" else 0.0
+        if all(NONE in names for names in self.acceptable):
+            right = of.none
+        if self.kind.startswith("unknown"):
+            return of.unknown + right
+        for one, chance in zip(self.scored, of.hypotheses, strict=True):
+            if one.names and self._is_right(one.names):
+                right += chance
+        return right
+
+    def _is_right(self, names: tuple[str, ...]) -> bool:
+        if len(names) != len(self.acceptable):
+            return False
+        left = list(self.acceptable)
+        for name in names:
+            hit = next((one for one in left if name in one), None)
+            if hit is None:
+                return False
+            left.remove(hit)
+        return True
+
+
+def plan(per_class: int) -> list[Case]:
+    """Cases of all kinds; more of what must not be got wrong."""
+    cases = []
+    seed = FIRST_SEED
+    for turn in range(per_class):
+        wanted: list[tuple[str, tuple[str, ...], str]] = [
+            ("single", (name,), strength) for name in EFFECTS for strength in _strengths(turn)
+        ]
+        wanted += [("none", (), "")] * 8
+        wanted += [
+            ("unknown_calibration", (name,), s)
+            for name in CALIBRATION_UNKNOWN
+            for s in _strengths(turn)
+        ]
+        pairs = [PAIRS[(turn * 6 + k) * 7 % len(PAIRS)] for k in range(6)]
+        wanted += [
+            ("pair", tuple(pair), "clear" if k % 2 else "gross") for k, pair in enumerate(pairs)
+        ]
+        for kind, effects, strength in wanted:
+            cases.append(Case(seed, kind, effects, strength or "clear"))
+            seed += 1
+    return cases
+
+
+def _strengths(turn: int) -> tuple[str, ...]:
+    return (("clear",), ("gross",), ("faint",), ("clear", "gross"))[turn % 4]
+
+
+def collect(case: Case) -> dict[str, Any]:
+    """Make a case's recording, explore it, and tell what a posterior needs."""
+    with tempfile.TemporaryDirectory() as folder:
+        truth = generate(case, Path(folder) / "recording")
+        explored = explore(read_recording(Path(folder) / "recording"))
+    return {
+        "kind": case.kind,
+        "strength": case.strength,
+        "effects": [one["effect"] for one in truth.effects],
+        "parameters": [_plain(one["parameters"]) for one in truth.effects],
+        "d": truth.d,
+        "acceptable": truth.acceptable,
+        "scored": [asdict(one) for one in explored.scored],
+        "rows": len(explored.observation.rows),
+    }
+
+
+def known(content: dict[str, Any]) -> Known:
+    """Of a file that `collect` left."""
+    scored = tuple(
+        Scored(tuple(one["names"]), one["energy"], one["occam"], one["structure"])
+        for one in content["scored"]
+    )
+    acceptable = tuple(frozenset(names) for names in content["acceptable"])
+    return Known(content["kind"], content["strength"], acceptable, scored)
+
+
+def loss(cases: Sequence[Known], settings: Settings) -> float:
+    """Mean of -log probability of what was there, kinds counting the same."""
+    of_kind: dict[str, list[float]] = {}
+    for case in cases:
+        chance = case.chance(posterior(case.scored, settings))
+        of_kind.setdefault(f"{case.kind} {case.strength}", []).append(-np.log(chance + _LEAST))
+    return float(np.mean([np.mean(losses) for losses in of_kind.values()]))
+
+
+def fitted(cases: Sequence[Known], start: Settings) -> Settings:
+    """Return the settings with the smallest loss beside their prior (Nelder-Mead)."""
+    origin = _vector(Settings())
+
+    def cost(vector: np.ndarray) -> float:
+        prior = 0.5 * float(np.sum(((vector - origin) / np.array(_SPREAD)) ** 2))
+        return loss(cases, _settings(vector)) + prior / len(cases)
+
+    result = minimize(
+        cost,
+        _vector(start),
+        method="Nelder-Mead",
+        options={"maxiter": 500, "xatol": 1e-2, "fatol": 1e-4, "adaptive": True},
+    )
+    return _settings(result.x)
+
+
+def _vector(of: Settings) -> np.ndarray:
+    return np.log(np.array(list(asdict(of).values())))
+
+
+def _settings(vector: np.ndarray) -> Settings:
+    numbers = [float(value) for value in np.exp(np.clip(vector, -8.0, 6.0))]
+    of = dict(zip(asdict(Settings()), numbers, strict=True))
+    return Settings(**{**of, "temper": min(of["temper"], 1.0)})
+
+
+def _plain(parameters: dict[str, Any]) -> dict[str, Any]:
+    return json.loads(json.dumps(parameters, default=lambda value: np.asarray(value).tolist()))
+
+
+def report(cases: Sequence[Known], settings: Settings) -> dict[str, Any]:
+    """How often the likeliest was right and how sure, by kind and strength."""
+    rows: dict[str, list[tuple[float, bool]]] = {}
+    for case in cases:
+        chances = posterior(case.scored, settings)
+        right = case.chance(chances)
+        rows.setdefault(f"{case.kind} {case.strength}".strip(), []).append((right, right > 0.5))
+    return {
+        name: {
+            "cases": len(each),
+            "right": float(np.mean([hit for _, hit in each])),
+            "mean_probability": float(np.mean([chance for chance, _ in each])),
+        }
+        for name, each in rows.items()
+    }
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Entry point; returns the exit code."""
+    parser = argparse.ArgumentParser(
+        prog="python -m galen_validation.calibrate_diagnosis",
+        description=__doc__.split("\n")[0],
+    )
+    parser.add_argument("cases", type=Path, help="folder that keeps what came out of each case")
+    parser.add_argument("--per-class", type=int, default=4, help="turns over all kinds (4)")
+    parser.add_argument(
+        "--part", type=_part, default=(0, 1), metavar="I/N", help="make only every Nth case"
+    )
+    parser.add_argument("--fit-only", action="store_true", help="make no more cases")
+    parser.add_argument("--write", action="store_true", help="write the package's calibration.json")
+    given = parser.parse_args(args)
+    return run_command(parser.prog, lambda: _run(given))
+
+
+def _part(text: str) -> tuple[int, int]:
+    first, slash, of = text.partition("/")
+    if not (slash and first.isdecimal() and of.isdecimal() and int(first) < int(of)):
+        raise argparse.ArgumentTypeError(f"{text!r:.20} is no part like 0/2 or 1/2")
+    return int(first), int(of)
+
+
+def _run(given: argparse.Namespace) -> int:
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    given.cases.mkdir(parents=True, exist_ok=True)
+    part, parts = given.part
+    if not given.fit_only:
+        mine = plan(given.per_class)[part::parts]
+        for case in tqdm(mine, unit="case", disable=not sys.stderr.isatty()):
+            path = given.cases / f"{case.seed}.json"
+            if not path.exists():
+                try:
+                    content = collect(case)
+                except GalenError as error:
+                    print(f"{case}: {error}", file=sys.stderr)
+                    continue
+                write_whole(path, json.dumps(content))
+    files = sorted(given.cases.glob("*.json"))
+    if not files:
+        raise GalenError(f"{given.cases}: no cases to calibrate on")
+    cases = [known(json.loads(path.read_text(encoding="utf-8"))) for path in files]
+    halves = cases[0::2], cases[1::2]
+    start = Settings()
+    half = fitted(halves[0], start)
+    everything = fitted(cases, half)
+    outcome = {
+        "settings": asdict(everything),
+        "made_by": "python -m galen_validation.calibrate_diagnosis",
+        "cases": len(cases),
+        "loss": {
+            "start": loss(cases, start),
+            "fitted_half": loss(halves[0], half),
+            "other_half": loss(halves[1], half),
+            "all": loss(cases, everything),
+        },
+        "other_half": report(halves[1], half),
+    }
+    print(json.dumps(outcome, indent=2))
+    if given.write:
+        target = Path(inference.__file__).with_name("calibration.json")
+        write_whole(target, json.dumps(outcome, indent=2) + "\n")
+    return EXIT_OK
+
+
+if __name__ == "__main__":
+    sys.exit(main())
