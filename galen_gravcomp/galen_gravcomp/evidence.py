@@ -52,13 +52,13 @@ from galen_model.arrays import Array
 from galen_model.calibrated import columns
 from galen_model.estimation.evidence import (
     LOG_2PI,
-    Information,
     Prior,
     distance,
     log_density,
     log_evidence,
     posterior,
 )
+from galen_model.estimation.least_squares import Information
 from galen_model.evidence.verdict import Cause
 from galen_model.files.calibration_file import CalibrationFile
 

@@ -41,6 +41,7 @@ from galen_model.calibrated import columns
 from galen_model.calibrated.columns import moment_covariance
 from galen_model.distributions import chi2_isf, chi2_sf, noncentral_chi2_sf, normal_ppf
 from galen_model.estimation.evidence import chance
+from galen_model.estimation.least_squares import least_squares
 from galen_model.evidence.verdict import (
     MESSAGES,
     Cause,
@@ -141,11 +142,8 @@ def explain_rest(
     here, there = _causes(angles, tool), _causes(anywhere, tool)
     for name in here:
         rows = np.concatenate([load_and_offset(angles, tool), here[name]], axis=2)
-        width = rows.shape[2]
-        scaled = (rows / sigma[:, None]).reshape(-1, width)
-        values = np.linalg.lstsq(scaled, (residual / sigma).ravel(), rcond=1e-9)[0]
-        left = (residual - rows @ values) / sigma
-        p_value = float(chi2_sf(np.sum(left**2), 6 * count - width))
+        values, _, rest = least_squares(rows, residual, sigma)
+        p_value = float(chi2_sf(np.sum((rest / sigma) ** 2), 6 * count - rows.shape[2]))
         if p_value > p_noise:
             known = load_and_offset(anywhere, tool)
             by_all = known @ values[:10] + there[name] @ values[10:]
@@ -258,11 +256,7 @@ def differences(
     angles, residual, sigma = _readings(records, tool, known_offset)
     count = len(residual)
     rows = load_and_offset(angles, tool)
-    scaled = (rows / sigma[:, None]).reshape(-1, 10)
-    inverse = np.linalg.pinv(scaled)
-    values = inverse @ (residual / sigma).ravel()
-    rest = residual - rows @ values
-    fit_covariance = inverse @ inverse.T
+    values, fit_covariance, rest = least_squares(rows, residual, sigma)
     by_file = _file_covariance(tool)
     covariance = fit_covariance[:4, :4] + by_file[:4, :4]
     moments = values[:4]

@@ -1,8 +1,9 @@
 """Weighted least squares for compliances, out of sums over blocks of time.
 
 With W = 1 / noise^2, a block's N = sum D^T W D, b = sum D^T W y and y^T W y are all that a fit
-needs of it: fits that leave some blocks out, and their residuals there, cost no further look at
-the samples. Blocks are a few seconds long, about a push each.
+needs of it (`galen_model.estimation.least_squares.Information`): fits that leave some blocks out,
+and their residuals there, cost no further look at the samples. Blocks are a few seconds long, about
+a push each.
 
 Covariance of the parameters: N^-1, which is Cramer and Rao's bound if the model is right. If it is
 not, residuals hang together for as long as a push lasts, and count for much less than their number.
@@ -23,6 +24,7 @@ from itertools import pairwise
 
 import numpy as np
 from galen_model.arrays import Array
+from galen_model.estimation.least_squares import Information
 from scipy.optimize import nnls
 
 from galen_deflection.measurement.samples import DeflectionError, DeflectionSamples, check_to_fit
@@ -47,34 +49,19 @@ _REJECTED_BEYOND = 3.0
 
 @dataclass(frozen=True)
 class Sums:
-    """Blocks (b,): N (b, p, p), b (b, p), y^T W y (b,), and the fold (b,) they belong to.
+    """Blocks (b,) of the samples, and the fold (b,) they belong to.
 
     wrench_at_tip (n, 6): of the samples, base_link. used (n,): which of them count.
     """
 
-    information: Array
-    right: Array
-    square: Array
+    blocks: Information
     fold: np.ndarray
     wrench_at_tip: Array
     used: np.ndarray
 
     def combined(self, combination: Array) -> Sums:
         """Return those of other designs, whose columns are combinations (p, q) of these."""
-        return replace(
-            self,
-            information=combination.T @ self.information @ combination,
-            right=self.right @ combination,
-        )
-
-    def total(self, rows: np.ndarray | slice = slice(None)) -> tuple[Array, Array]:
-        """Return N (p, p) and b (p,) of some of the blocks."""
-        return self.information[rows].sum(axis=0), self.right[rows].sum(axis=0)
-
-    def cost(self, values: Array) -> Array:
-        """Return sums (b,) of squared residuals in units of the noise."""
-        fitted = np.einsum("bpq,p,q->b", self.information, values, values)
-        return np.asarray(self.square - 2.0 * self.right @ values + fitted)
+        return replace(self, blocks=self.blocks.combined(combination))
 
 
 @dataclass(frozen=True)
@@ -102,18 +89,15 @@ def sums(basis: SpringBasis, samples: DeflectionSamples, settings: FitSettings) 
     weight = 1.0 / samples.noise
     parts = blocks(samples)
     size = len(basis.parameters)
-    information, right = np.empty((len(parts), size, size)), np.empty((len(parts), size))
-    square, wrench_at_tip = np.empty(len(parts)), np.empty((len(samples), 6))
-    for k, (part, at_tip, rows) in enumerate(_rows(basis, samples, parts)):
-        some = used[part]
-        design = (rows[some] * weight[:, None]).reshape(-1, size)
-        measured = (samples.deflection[part][some] * weight).ravel()
-        # not by BLAS: its threads, waked for so little, wait for a busy machine's cores
-        information[k] = np.einsum("rp,rq->pq", design, design)
-        right[k] = np.einsum("rp,r->p", design, measured)
-        square[k] = measured @ measured
-        wrench_at_tip[part] = at_tip
-    return Sums(information, right, square, folds(samples, parts), wrench_at_tip, used)
+    wrench_at_tip = np.empty((len(samples), 6))
+
+    def whitened() -> Iterator[tuple[Array, Array]]:
+        for part, at_tip, rows in _rows(basis, samples, parts):
+            wrench_at_tip[part] = at_tip
+            design = (rows[used[part]] * weight[:, None]).reshape(-1, size)
+            yield design, (samples.deflection[part][used[part]] * weight).ravel()
+
+    return Sums(Information.of_blocks(whitened()), folds(samples, parts), wrench_at_tip, used)
 
 
 def blocks(samples: DeflectionSamples) -> list[slice]:
@@ -149,13 +133,13 @@ def folds(samples: DeflectionSamples, parts: Sequence[slice]) -> np.ndarray:
     return labels
 
 
-def solve(information: Array, right: Array, parameters: Sequence[Parameter]) -> Solution:
-    """Solve from N and b; what is not identifiable stays near its prior.
+def solve(blocks: Information, parameters: Sequence[Parameter]) -> Solution:
+    """Solve from the sums over blocks; what is not identifiable stays near its prior.
 
     None is below zero, but for signed parameters.
     """
+    information, right, _ = blocks.total()
     missing = _not_identifiable(information, parameters)
-    information, right = information.copy(), right.copy()
     for k in missing:
         prior_std = parameters[k].prior_std
         assert prior_std is not None
@@ -207,7 +191,7 @@ def finished(
     DeflectionError for samples without load, and for a spring that would push back.
     """
     parameters = basis.parameters
-    solution = solve(*totals.total(), parameters)
+    solution = solve(totals.blocks, parameters)
     if len(solution.unresolved) == sum(p.prior_std is not None for p in parameters):
         raise DeflectionError(
             f"no parameter of the model {name} is identifiable from the samples: nothing loads the"
@@ -234,7 +218,7 @@ def finished(
 def _values_without(totals: Sums, basis: SpringBasis) -> dict[int, Array]:
     """For each fold, the values (p,) fitted to all others."""
     return {
-        int(fold): solve(*totals.total(totals.fold != fold), basis.parameters).values
+        int(fold): solve(totals.blocks.part(totals.fold != fold), basis.parameters).values
         for fold in np.unique(totals.fold)
     }
 
@@ -243,7 +227,7 @@ def held_out_cost(totals: Sums, basis: SpringBasis) -> Array:
     """Return each fold's squared residual (folds,) by a fit to the others, over the noise's."""
     return np.array(
         [
-            float(totals.cost(value)[totals.fold == fold].sum())
+            float(totals.blocks.cost(value)[totals.fold == fold].sum())
             for fold, value in _values_without(totals, basis).items()
         ]
     )
@@ -263,7 +247,7 @@ def _rows(
 
 def _inflation(totals: Sums, solution: Solution) -> float:
     """By how much residuals that hang together enlarge the covariance; 1 if they don't."""
-    scores = totals.right - totals.information @ solution.values
+    scores = totals.blocks.right - totals.blocks.matrix @ solution.values
     size = int(solution.free.sum())
     squares = np.einsum("bp,pq,bq->", scores, solution.covariance, scores)
     return max(1.0, float(squares) / max(size, 1))
@@ -271,7 +255,7 @@ def _inflation(totals: Sums, solution: Solution) -> float:
 
 def _reject_negative(totals: Sums, solution: Solution, parameters: Sequence[Parameter]) -> None:
     """Raise DeflectionError if a compliance would be below zero, were it let."""
-    information, right = totals.total()
+    information, right, _ = totals.blocks.total()
     for k, parameter in enumerate(parameters):
         seen = information[k, k] > 0.0
         spring = parameter.prior_std is not None and not parameter.signed

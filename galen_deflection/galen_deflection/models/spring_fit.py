@@ -93,7 +93,7 @@ def fit_hysteresis(samples: DeflectionSamples, settings: FitSettings | None = No
     grid = _whole_grid(samples, settings)
     totals = sums(grid, samples, settings)
     chosen = _chosen(grid, totals)
-    found = solve(*chosen.totals.total(), chosen.basis.parameters)
+    found = solve(chosen.totals.blocks, chosen.basis.parameters)
     wanted = np.flatnonzero(found.free[len(grid.compliances) :]).tolist()
     used = _Candidate.of(grid, totals, [chosen.operators[k] for k in wanted], chosen.shape)
     model = finished(HYSTERESIS, used.basis, samples, used.totals)
@@ -106,7 +106,7 @@ def fit_hysteresis(samples: DeflectionSamples, settings: FitSettings | None = No
 def _whole_grid(samples: DeflectionSamples, settings: FitSettings) -> SpringBasis:
     """Plays at all thresholds, in all places; the springs alone are the platform's reference."""
     springs = SpringBasis(samples.tip_m, arm=samples.arm)
-    reference = solve(*sums(springs, samples, settings).total(), springs.compliances).values
+    reference = solve(sums(springs, samples, settings).blocks, springs.compliances).values
     anywhere = tuple(
         Operator(place, "play", (0.0,) * len(columns)) for place, columns in springs.columns.items()
     )

@@ -21,6 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 from galen_model.arrays import Array
+from galen_model.estimation.least_squares import Information
 from galen_model.transmission import (
     FREE,
     MOTION_PLAYS,
@@ -54,11 +55,9 @@ _INTERVAL = (0.025, 0.975)
 
 @dataclass(frozen=True)
 class CellSums:
-    """Of cells (c,): N (c, p, p), b (c, p), y^T y (c,), readings (c,), part and run (c,)."""
+    """Of cells (c,): sums of the terms, readings (c,), part and run (c,)."""
 
-    information: Array
-    right: Array
-    square: Array
+    cells: Information
     count: np.ndarray
     part: np.ndarray
     run: np.ndarray
@@ -66,16 +65,12 @@ class CellSums:
     @classmethod
     def of(cls, runs: Sequence[JointRun], parts: Parts, designs: Sequence[Array]) -> CellSums:
         """Sum up all runs, by their terms (n, p)."""
-        rows = []
+        blocks, places = [], []
         for number, (run, label, terms) in enumerate(zip(runs, parts.label, designs, strict=True)):
-            lag = run.lag
             for part, cell in _cells(label, CELLS if parts.whole_runs else CELLS // 4):
-                x, y = terms[cell], lag[cell]
-                # not by BLAS: its threads wait for a busy machine's cores
-                information = np.einsum("rp,rq->pq", x, x)
-                right = np.einsum("rp,r->p", x, y)
-                rows.append((information, right, y @ y, len(y), part, number))
-        return cls(*(np.array(column) for column in zip(*rows, strict=True)))
+                blocks.append((terms[cell], run.lag[cell]))
+                places.append((len(blocks[-1][1]), part, number))
+        return cls(Information.of_blocks(blocks), *np.array(places).T)
 
     def of_parts(self, parts: Sequence[int]) -> np.ndarray:
         """Return the cells (k,) of some parts."""
@@ -83,9 +78,7 @@ class CellSums:
 
     def cost(self, weights: Array, cells: np.ndarray) -> float:
         """Return the sum of squared residuals (rad^2) of weights (p,) over cells."""
-        fitted = weights @ self.information[cells].sum(axis=0) @ weights
-        square = self.square[cells].sum() - 2.0 * self.right[cells].sum(axis=0) @ weights + fitted
-        return max(float(square), 0.0)
+        return max(float(self.cells.part(cells).total().cost(weights)), 0.0)
 
 
 def fit_terms(
@@ -96,8 +89,8 @@ def fit_terms(
     `bounded` off lets all of them be. Raises DeflectionError if the cells hold nothing to fit to.
     """
     columns = [TERMS.index(name) for name in terms]
-    information = sums.information[cells].sum(axis=0)[np.ix_(columns, columns)]
-    right = sums.right[cells].sum(axis=0)[columns]
+    whole = sums.cells.part(cells).total()
+    information, right = whole.matrix[np.ix_(columns, columns)], whole.right[columns]
     scale = np.sqrt(np.diag(information))
     if not np.any(scale > 0.0):
         raise DeflectionError("there are no readings to fit a joint's lag to")

@@ -22,6 +22,7 @@ import numpy as np
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_sf
 from galen_model.errors import IdentificationError, NotExcitedError
+from galen_model.estimation.least_squares import Information, least_squares
 from galen_model.estimation.problem import Fit, Problem
 from galen_model.evidence.verdict import Cause, Limits, Verdict
 from galen_model.files.calibration_file import CalibrationFile
@@ -193,38 +194,37 @@ def find_change(phases: StillPhases, tool: CalibrationFile, limits: Limits) -> L
     # kg and kg.m beside N and N.m: balance
     scale = np.array([10.0] + [100.0] * 3 + [1.0] * 6)
     rows = np.concatenate([loads, offsets], axis=2) / scale
-    matrices = np.cumsum(np.einsum("nkp,nkq->npq", rows, rows), axis=0)
-    rights = np.cumsum(np.einsum("nkp,nk->np", rows, values), axis=0)
-    squares = np.cumsum(np.sum(values**2, axis=1))
+    blocks = Information.of_blocks(zip(rows, values, strict=True))
+    before = Information(*(np.cumsum(part, axis=0) for part in blocks))
+    whole = blocks.total()
 
-    def cost(matrix: Array, right: Array, square: float) -> tuple[float, Array]:
+    def cost(side: Information) -> tuple[float, Array]:
         # The pseudo-inverse: a side's poses need not identify all of its load.
-        solution = np.linalg.pinv(matrix, rcond=1e-9, hermitian=True) @ right
-        return max(float(square - right @ solution), 0.0), solution / scale
+        solution = np.linalg.pinv(side.matrix, rcond=1e-9, hermitian=True) @ side.right
+        return max(float(side.rest - side.right @ solution), 0.0), solution / scale
 
-    whole, _ = cost(matrices[-1], rights[-1], float(squares[-1]))
-    if whole <= len(phases):
+    together, _ = cost(whole)
+    if together <= len(phases):
         return None
     best: tuple[float, int, Array, Array] | None = None
     for k in range(_FEWEST_A_SIDE, len(phases) - _FEWEST_A_SIDE + 1):
-        before, first = cost(matrices[k - 1], rights[k - 1], float(squares[k - 1]))
-        after, second = cost(
-            matrices[-1] - matrices[k - 1],
-            rights[-1] - rights[k - 1],
-            float(squares[-1] - squares[k - 1]),
+        first_side = before.part(k - 1)
+        left_before, first = cost(first_side)
+        left_after, second = cost(
+            Information(*(all_of - part for all_of, part in zip(whole, first_side, strict=True)))
         )
-        if best is None or before + after < best[0]:
-            best = (before + after, k, first, second)
+        if best is None or left_before + left_after < best[0]:
+            best = (left_before + left_after, k, first, second)
     assert best is not None
     least, k, first, second = best
-    if least * _CHANGE**2 > whole:
+    if least * _CHANGE**2 > together:
         return None
     time_ns = (int(phases.end_ns[k - 1]) + int(phases.start_ns[k])) // 2
     later = np.arange(len(phases)) >= k
-    stepped = np.concatenate([rows, later[:, None, None] * offsets], axis=2).reshape(-1, 16)
-    solution = np.linalg.lstsq(stepped, values.ravel(), rcond=1e-9)[0]
-    left = float(np.sum((values.ravel() - stepped @ solution) ** 2))
-    if left * _CHANGE**2 <= whole:
+    stepped = np.concatenate([rows, later[:, None, None] * offsets], axis=2)
+    solution, _, rest = least_squares(stepped, values)
+    left = float(np.sum(rest**2))
+    if left * _CHANGE**2 <= together:
         return LoadChange(time_ns, k, None, solution[-6:])
     return LoadChange(time_ns, k, (float(first[0]), float(second[0])), second[4:] - first[4:])
 

@@ -32,6 +32,7 @@ from galen_model.calibrated.columns import load_and_offset
 from galen_model.calibrated.inertia_identification import OTHER_MASS
 from galen_model.errors import IdentificationError, NotExcitedError
 from galen_model.estimation.held_out import block_gain
+from galen_model.estimation.least_squares import least_squares
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.cable import (
     FORMS,
@@ -291,7 +292,7 @@ def check_same_tool(tool: CalibrationFile, sweep: CableSweep) -> list[str]:
     Raises IdentificationError where another load explains nearly all of them.
     """
     columns = _ten_columns(sweep)
-    found = _least_squares(columns, sweep.wrench, sweep.std_of_mean)
+    found = least_squares(columns, sweep.wrench, sweep.std_of_mean).values
     mass = tool.load.mass_kg + tool.adapter.mass_kg
     if abs(found[0]) <= OTHER_MASS * mass:
         return []
@@ -447,28 +448,18 @@ def _scored(sweep: CableSweep, predicted: Array, stated: Array | None = None) ->
 
 
 def _linear_held_out(sweep: CableSweep, block: np.ndarray) -> Array:
-    """Each block's wrenches (n, 6) by ten parameters, load and offsets, of the other blocks."""
+    """Predict each block (n, 6) by load and offsets, ten parameters, of the other blocks."""
     design = _ten_columns(sweep)
     predicted = np.zeros_like(sweep.wrench)
     for part in np.unique(block):
         out = block == part
-        found = _least_squares(design[~out], sweep.wrench[~out], sweep.std_of_mean[~out])
-        predicted[out] = design[out] @ found
+        found = least_squares(design[~out], sweep.wrench[~out], sweep.std_of_mean[~out])
+        predicted[out] = design[out] @ found.values
     return predicted
 
 
 def _ten_columns(sweep: CableSweep) -> Array:
     return load_and_offset(sweep.arm.gravity_in_sensor(sweep.angles))
-
-
-def _least_squares(design: Array, readings: Array, std: Array) -> Array:
-    """Parameters (p,) of readings (n, 6) by design (n, 6, p), weighted by std (n, 6).
-
-    Where the readings don't identify some, the smallest.
-    """
-    scale = 1.0 / std
-    rows = (design * scale[:, :, None]).reshape(-1, design.shape[2])
-    return np.asarray(np.linalg.lstsq(rows, (readings * scale).ravel(), rcond=1e-9)[0])
 
 
 def _newtons(held_out: CableScore) -> str:

@@ -37,31 +37,9 @@ from scipy.special import logsumexp
 
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_sf
+from galen_model.estimation.least_squares import Information
 
 LOG_2PI = float(np.log(2.0 * np.pi))
-
-
-class Information(NamedTuple):
-    """Of rows on k weights: A (..., k, k), r (..., k), q (...); leading axes are sets."""
-
-    matrix: Array
-    right: Array
-    rest: Array
-
-    def total(self) -> Information:
-        """Sum over the last of the leading axes: the blocks together."""
-        return Information(
-            self.matrix.sum(axis=-3), self.right.sum(axis=-2), self.rest.sum(axis=-1)
-        )
-
-    def without_each(self) -> Information:
-        """Leave out each block in turn, along the last of the leading axes."""
-        whole = self.total()
-        return Information(
-            whole.matrix[..., None, :, :] - self.matrix,
-            whole.right[..., None, :] - self.right,
-            whole.rest[..., None] - self.rest,
-        )
 
 
 class Prior(NamedTuple):

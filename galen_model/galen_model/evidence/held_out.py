@@ -23,12 +23,12 @@ import numpy as np
 from galen_model.arrays import Array
 from galen_model.estimation.evidence import (
     LOG_2PI,
-    Information,
     Posterior,
     Prior,
     log_evidence,
     posterior,
 )
+from galen_model.estimation.least_squares import Information
 
 
 @dataclass(frozen=True)
@@ -233,7 +233,7 @@ class BlockEvidence:
     def _best_forms(self, of_each: Information, floor_only: bool) -> np.ndarray:
         """Of each channel (C,), by coordinate ascent of the evidence of all blocks."""
         allowed = slice(0, len(self.rows.levels) if floor_only else None)
-        whole = _picked(of_each, (slice(None), allowed)).total()  # (C, F)
+        whole = of_each.part((slice(None), allowed)).total()  # (C, F)
         prior = Prior.unit(whole.right.shape[-1])
         channels = np.arange(len(whole.right))
         doubt = np.zeros(whole.rest.shape[1])
@@ -243,7 +243,7 @@ class BlockEvidence:
             before = forms.copy()
             for c in channels:
                 others = channels[channels != c]
-                base = _picked(whole, (others, forms[others])).total()
+                base = whole.part((others, forms[others])).total()
                 together = Information(
                     *(part[c] + rest for part, rest in zip(whole, base, strict=True))
                 )
@@ -265,7 +265,7 @@ class BlockEvidence:
         for ways in sets:
             of_each = self._remembered(ways)
             forms = self._best_forms(of_each, floor_only)
-            chosen = _picked(of_each, (np.arange(len(forms)), forms))  # (C, B)
+            chosen = of_each.part((np.arange(len(forms)), forms))  # (C, B)
             blocks = Information(*(part.sum(axis=0) for part in chosen))
             prior = Prior.unit(blocks.right.shape[-1])
             fit = posterior(blocks.total(), prior)
@@ -320,8 +320,3 @@ class BlockEvidence:
         values = [self._nominal[where]]
         values += [way.values[where] / self.rows.floor[None, :, None] for way in ways]
         return np.asarray(np.concatenate(values, axis=2) @ weights)
-
-
-def _picked(information: Information, places: tuple[object, ...]) -> Information:
-    """Return some of the sets, by an index of the leading axes."""
-    return Information(*(part[places] for part in information))  # type: ignore[index]

@@ -29,6 +29,7 @@ from galen_model.arrays import Array
 from galen_model.distributions import chi2_ppf
 from galen_model.errors import IdentificationError, NotExcitedError
 from galen_model.estimation.curves import Shapes
+from galen_model.estimation.least_squares import least_squares
 from galen_model.estimation.problem import Fit, Known, gauss_newton
 from galen_model.load.identifiability import (
     LOAD_PARAMETERS,
@@ -572,9 +573,7 @@ def plain_least_squares(gravity_sensor: ArrayLike, wrench: ArrayLike) -> tuple[A
     torque) count alike, whatever their noise; force and torque share no parameter in (m, h).
     """
     design = single_load_design(np.asarray(gravity_sensor, dtype=float))
-    solution = np.linalg.lstsq(
-        design.reshape(-1, 10), np.asarray(wrench, dtype=float).reshape(-1), rcond=None
-    )[0]
+    solution = least_squares(design, np.asarray(wrench, dtype=float)).values
     return solution[:4], solution[4:]
 
 
@@ -594,9 +593,7 @@ def check_channels(rows: Array, poses: StillPoses, name: str) -> None:
     centred = poses.wrench - poses.wrench.mean(axis=0)
     for channel in np.flatnonzero(np.ptp(poses.wrench, axis=0) == 0.0):
         others = np.delete(np.arange(6), channel)
-        moments = np.linalg.lstsq(
-            centred_rows[:, others].reshape(-1, 4), centred[:, others].reshape(-1), rcond=None
-        )[0]
+        moments = least_squares(centred_rows[:, others], centred[:, others]).values
         kind = [other for other in others if other // 3 == channel // 3]
         noise = np.std(centred[:, kind] - centred_rows[:, kind] @ moments)
         expected = np.ptp(centred_rows[:, channel] @ moments)

@@ -8,6 +8,7 @@ import numpy as np
 
 from galen_model.arm.arm import Arm
 from galen_model.arrays import Array
+from galen_model.estimation.least_squares import least_squares
 from galen_model.load.readings import StillPoses
 from galen_model.rotation import skew
 
@@ -135,8 +136,9 @@ def fit_load(readings: StillReadings, further: int = 0) -> LoadFit:
     torque_design[:, :, 3:] = np.eye(3)
     rows = np.ones(count, dtype=bool)
     for _ in range(2 if count >= _FEWEST_TO_TRIM else 1):
-        mass, force_left = _least_squares(force_design, force, rows)
-        moment, torque_left = _least_squares(torque_design, torque, rows)
+        mass = least_squares(force_design[rows], force[rows]).values
+        moment = least_squares(torque_design[rows], torque[rows]).values
+        force_left, torque_left = force - force_design @ mass, torque - torque_design @ moment
         squares = [np.sum(left**2, axis=1) for left in (force_left, torque_left)]
         sizes = [max(float(np.median(square)), 1e-300) for square in squares]
         distance = squares[0] / sizes[0] + squares[1] / sizes[1]
@@ -168,10 +170,3 @@ def _spread(
     # Few poses may fit by chance.
     deviation = max(residual, _LEAST_DEVIATION * change)
     return residual, change, deviation * np.sqrt(np.diag(np.linalg.pinv(used.T @ used)))
-
-
-def _least_squares(design: Array, values: Array, rows: np.ndarray) -> tuple[Array, Array]:
-    """Return parameters (p,) that fit `rows` best, and the residual (n, 3) of all."""
-    width = design.shape[-1]
-    found = np.linalg.lstsq(design[rows].reshape(-1, width), values[rows].ravel(), rcond=None)[0]
-    return found, values - design @ found
