@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from galen_bags.arrays.tables import OrientationTable
 from galen_diagnosis.diagnose import main as diagnose
+from galen_diagnosis.effects.drift import drift_columns
+from galen_diagnosis.effects.table_data import TablePlant
 from galen_diagnosis.tables.conclusion import diagnose_blocks
 from galen_diagnosis.tables.rows import prepare_table
-from galen_diagnosis.tables.table_effects import TablePlant, drift_columns
 from galen_model.arm.galen import GALEN, GRAVITY_M_S2
 from galen_model.evidence.held_out import BlockEvidence, BlockRows, Columns
 from galen_model.load.model import Load, gravity_wrench
