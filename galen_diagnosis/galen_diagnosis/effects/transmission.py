@@ -52,9 +52,7 @@ def _compliances(_: Observation, effect: Effect) -> Iterator[Candidate]:
         one = plain_form(effect, name, np.array([index]))
         # Of exactly 0 the effect keeps the spring nominal, and a fit can't leave it.
         yield replace(one, probe=np.array([0.05]))
-    count = len(effect.fitted)
-    every = plain_form(effect, "all")
-    yield replace(every, probe=np.full(count, 0.05), wider=True)
+    yield replace(plain_form(effect, "all"), probe=np.full(len(effect.fitted), 0.05), wider=True)
 
 
 def _spring_of_runs(terms: JointTerms) -> list[Columns]:
