@@ -115,11 +115,14 @@ def plain_form(
     return Candidate(own, label, effect, free, vector[free], typical, 0.05 * typical)
 
 
-def linear_form(name: str, label: str, base: Effect, columns: Array, typical: Array) -> Candidate:
-    """Return a form with columns (N, p) known."""
+def linear_form(
+    base: Effect, label: str, columns: Array, typical: Array, name: str | None = None
+) -> Candidate:
+    """Return a form with columns (N, p) known; name: its identity, where it isn't its own."""
     start = np.zeros(columns.shape[1])
+    own = base.identity if name is None else name
     free = np.arange(len(start))
-    return Candidate(name, label, base, free, start, typical, 0.1 * typical, columns)
+    return Candidate(own, label, base, free, start, typical, 0.1 * typical, columns)
 
 
 def floats(vector: Array) -> tuple[float, ...]:

@@ -21,7 +21,7 @@ from scipy.sparse import csc_array
 
 from galen_diagnosis.effects.candidates import Candidate, plain_form
 from galen_diagnosis.effects.jumps import Jump
-from galen_diagnosis.effects.table_data import JointTerms, TableData
+from galen_diagnosis.effects.table_data import JointTerms, TablePlant
 from galen_diagnosis.observation.observation import Observation
 from galen_diagnosis.observation.recording import DiagnosticRecording
 from galen_diagnosis.observation.rows import ResidualRows
@@ -124,7 +124,7 @@ class DiagnosedEffect:
 
     of_time: bool = False
     """A block's other parts tell of it, other blocks don't."""
-    in_table: Callable[[TableData], Sequence[Columns] | str] = lambda data: ()
+    in_table: Callable[[TablePlant], Sequence[Columns] | str] = lambda plant: ()
     """The ways in which it shows in a table of orientations, or why it can't."""
     in_joint_runs: Callable[[JointTerms], Sequence[Columns] | str] = lambda terms: ()
     """The ways in which it shows in a joint's runs, or why it can't."""

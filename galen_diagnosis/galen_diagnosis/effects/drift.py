@@ -15,7 +15,7 @@ from scipy.sparse import csc_array, hstack
 from galen_diagnosis.effects.candidates import Candidate, linear_form
 from galen_diagnosis.effects.diagnosed_effect import DiagnosedEffect, no_forms
 from galen_diagnosis.effects.jumps import Jump
-from galen_diagnosis.effects.table_data import LEVER_M, TableData
+from galen_diagnosis.effects.table_data import LEVER_M, TablePlant
 from galen_diagnosis.observation.observation import Observation
 from galen_diagnosis.observation.rows import ResidualRows
 
@@ -56,7 +56,7 @@ def drift_candidates(observation: Observation, zero: Array) -> list[Candidate]:
         courses = [np.interp(at_s, times, shape) for shape in shapes.T]
         columns = np.concatenate([zero * course[:, None] for course in courses], axis=1)
         typical = np.concatenate([_RATE, np.tile(size, len(courses) - 1)])
-        one = linear_form(SensorDrift.name, label, SensorDrift(), columns, typical)
+        one = linear_form(SensorDrift(), label, columns, typical)
         make = partial(_drift, times, shapes)
         found.append(replace(one, make=make, model=f"drift, {label}", wider=label != "steady"))
     return found
@@ -133,13 +133,13 @@ SENSOR_DRIFT = DiagnosedEffect(
     # It goes on, but not as before.
     later=lambda effect: SensorDrift(rate_per_hour=tuple(effect.vector().tolist())),
     of_time=True,
-    in_table=lambda data: drift_columns(data.plant.at_s, data.by_order),
+    in_table=lambda plant: drift_columns(plant.at_s, plant.by_order),
 )
 
 
-def _steps_in_table(data: TableData) -> list[Columns]:
+def _steps_in_table(plant: TablePlant) -> list[Columns]:
     """Return a step between any two readings, or some of many."""
-    at_s, typical = data.plant.at_s, BiasStep.fitted[0].typicals
+    at_s, typical = plant.at_s, BiasStep.fitted[0].typicals
     gaps = np.arange(1, len(at_s))
     if len(gaps) > _MOST_STEPS:
         gaps = np.unique(np.linspace(1, len(at_s) - 1, _MOST_STEPS).round().astype(int))
@@ -159,7 +159,6 @@ BIAS_STEP = DiagnosedEffect(
     remedy="look for a knock, an overload or a moved plug at that time; zero the sensor",
     forms=no_forms,
     jump=Jump(
-        name=BiasStep.name,
         effect=lambda bag, at_s: BiasStep(bag=bag, time_s=at_s),
         unknowns=slice(0, 6),
         typical=np.array([0.1] * 3 + [3e-3] * 3),

@@ -28,7 +28,7 @@ from scipy.spatial.transform import Rotation
 
 from galen_diagnosis.effects.candidates import Candidate, plain_form
 from galen_diagnosis.effects.diagnosed_effect import DiagnosedEffect, FileParts
-from galen_diagnosis.effects.table_data import STEP, TableData, numbers_of
+from galen_diagnosis.effects.table_data import STEP, TablePlant, numbers_of
 from galen_diagnosis.observation.observation import Observation
 from galen_diagnosis.observation.recording import DiagnosticRecording
 
@@ -120,20 +120,20 @@ JOINT_AXIS_MISALIGNMENT = DiagnosedEffect(
 )
 
 
-def _inclinations(data: TableData) -> list[Columns] | str:
+def _inclinations(plant: TablePlant) -> list[Columns] | str:
     """Return the columns of each usual size, exact at the load and angles that fit together.
 
     A load that was fitted under a wrong direction of gravity is a wrong one.
     """
-    plant, table = data.plant, data.table
-    if plant.rotation is None:
+    table = plant.table
+    if table.rotation is None:
         return "the table has gravity alone, not the rotation"
     gravity = table.arm.gravity_m_s2
     level, angles = simulated.base_inclination(gravity)(), np.zeros(2)
-    if not data.known_load:
+    if not plant.known_load:
         with suppress(IdentificationError):
             found = identify_single_load(
-                plant.gravity, table.wrench, [level.name], plant.rotation, arm=table.arm
+                table.gravity, table.wrench, [level.name], table.rotation, arm=table.arm
             )
             axes = ["xyz".index(axis) for axis in inclination_axes(gravity)]
             assert found.mounting is not None

@@ -25,12 +25,11 @@ _TEMPER = 0.5
 class Jump:
     """An effect that is a jump of six of the unknowns.
 
-    name: the effect's. effect(bag, s): itself at a time of a bag, of no size. unknowns: which of
-    `Unknowns` jump. typical (6,): its usual size. grid_s: by bag, how far apart it is tried.
-    tracked: only the tracker sees it.
+    effect(bag, s): itself at a time of a bag, of no size. unknowns: which of `Unknowns` jump.
+    typical (6,): its usual size. grid_s: by bag, how far apart it is tried. tracked: only the
+    tracker sees it.
     """
 
-    name: str
     effect: Callable[[str, float], Effect]
     unknowns: slice
     typical: Array
@@ -56,7 +55,7 @@ class Jump:
         bag, at_s = times[best]
         on = (observation.rows.session_s >= after[best]).astype(float)
         base, label = self.effect(bag, at_s), f"{bag} {at_s:.2f} s"
-        one = linear_form(self.name, label, base, columns * on[:, None], self.typical)
+        one = linear_form(base, label, columns * on[:, None], self.typical)
         here = [k for k, (name, _) in enumerate(times) if name == bag]
         known = {"time_s": _likely(np.array([times[k][1] for k in here]), logs[here])}
         anywhere = float(np.logaddexp.reduce(logs) - np.log(len(logs)))

@@ -17,7 +17,7 @@ from galen_sim_driver.effects.registry import contract_parameters
 from galen_diagnosis.effects.candidates import Candidate, floats, plain_form
 from galen_diagnosis.effects.diagnosed_effect import DiagnosedEffect, FileParts
 from galen_diagnosis.effects.general_shapes import ForceField
-from galen_diagnosis.effects.table_data import LEVER_M, TableData, by_simulator
+from galen_diagnosis.effects.table_data import LEVER_M, TablePlant, by_simulator
 from galen_diagnosis.observation.observation import Observation
 
 _MASS_KG, _COM_M = 0.1e-3, 0.1e-3
@@ -138,12 +138,12 @@ def _cable_parameters(
     return {**contract_parameters(effect), "tension_N": float(np.mean(effect.tension(*poses)))}
 
 
-def _cable_in_table(data: TableData) -> list[Columns] | str:
+def _cable_in_table(plant: TablePlant) -> list[Columns] | str:
     """Return the columns of a constant force F along the base's axes at a point r of the tool.
 
     R^T F and r x R^T F. A pull along gravity weighs as mass does: the tension is the level part.
     """
-    rotation = data.plant.rotation
+    rotation = plant.table.rotation
     if rotation is None:
         return "the table has gravity alone, not the rotation"
     if _yaws(rotation) < _FEWEST_YAWS:

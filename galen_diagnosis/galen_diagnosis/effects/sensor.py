@@ -35,14 +35,7 @@ from galen_sim_driver.replay import Replay
 from galen_diagnosis.effects.candidates import Candidate, linear_form, plain_form
 from galen_diagnosis.effects.diagnosed_effect import DiagnosedEffect, FileParts, no_forms
 from galen_diagnosis.effects.general_shapes import SoftSaturation
-from galen_diagnosis.effects.table_data import (
-    USUAL_DELAY_S,
-    JointTerms,
-    TableData,
-    by_hooks,
-    by_simulator,
-    in_lag,
-)
+from galen_diagnosis.effects.table_data import DELAY_S, JointTerms, TablePlant, by_simulator, in_lag
 from galen_diagnosis.observation.observation import Observation
 from galen_diagnosis.observation.rows import BAGS
 
@@ -133,8 +126,8 @@ CROSSTALK = DiagnosedEffect(
     forms=no_forms,
     columns=crosstalk_candidates,
     most_forms=2,
-    in_table=lambda data: [
-        by_hooks(data.plant, effect, {"from": a, "to": b}) for a, b, effect in crosstalks()
+    in_table=lambda plant: [
+        plant.columns(effect, {"from": a, "to": b}) for a, b, effect in crosstalks()
     ],
 )
 
@@ -145,8 +138,8 @@ def _late_torque(terms: JointTerms) -> list[Columns] | str:
     give = float(np.linalg.lstsq(plain, terms.lag, rcond=None)[0][3])
     if not give > 0.0:
         return "the lag doesn't grow with the torque, so when it does is open"
-    slope = USUAL_DELAY_S * give * terms.torque_rate
-    return [in_lag(slope, "delay_s", lambda w: USUAL_DELAY_S * w[0])]
+    slope = DELAY_S * give * terms.torque_rate
+    return [in_lag(slope, "delay_s", lambda w: DELAY_S * w[0])]
 
 
 WRENCH_DELAY = DiagnosedEffect(
@@ -164,6 +157,7 @@ WRENCH_DELAY = DiagnosedEffect(
 
 # Limits
 
+_SATURATION = simulated.SensorSaturation.name
 _PINNED, _NEXT = 6, 5
 _PILE, _PILE_OVER = 25, 5.0
 _LOWEST_PART = 0.4
@@ -188,9 +182,7 @@ def saturation_candidates(observation: Observation, zero: Array) -> list[Candida
             beyond = _beyond(observation, zero, axis, limit, noise)
             typical = np.full(beyond.shape[1], _BEYOND[axis])
             effect = simulated.SensorSaturation(limit=limit, axis=name)
-            one = linear_form(
-                simulated.SensorSaturation.name, f"{name} {limit:.4g}", effect, beyond, typical
-            )
+            one = linear_form(effect, f"{name} {limit:.4g}", beyond, typical)
             # Where readings pile up is known to the noise of one of them.
             known = {"limit": (limit - noise, limit + noise)}
             make = partial(_same, effect)
@@ -210,23 +202,15 @@ def bent_candidates(observation: Observation, zero: Array) -> list[Candidate]:
         largest = float(np.max(np.abs(true[:, axis])))
         short = -true[:, axis] * (np.abs(true[:, axis]) / largest) ** _POWER
         none = SoftSaturation(float(np.log(_FAR * largest)), float(np.log(_POWER)), name)
-        fitted = Candidate(
-            *(simulated.SensorSaturation.name, f"{name} softly", none, np.arange(2), none.vector()),
-            *(np.array([0.3, 0.4]), np.array([0.01, 0.05])),
-            model="soft limit",
-        )
+        label, columns = f"{name} softly", zero[:, [axis]] * short[:, None]
+        fitted = plain_form(none, label, name=_SATURATION)
+        fitted = replace(fitted, probe=np.array([0.01, 0.05]), model="soft limit")
 
         def begun(values: Array, fitted: Candidate = fitted) -> tuple[Candidate, Array]:
             share = min(max(_POWER * float(values[0]), 1e-3), 1e3)
             return fitted, fitted.start - np.array([np.log(_FAR) + np.log(share) / _POWER, 0.0])
 
-        one = linear_form(
-            simulated.SensorSaturation.name,
-            f"{name} softly",
-            none,
-            zero[:, [axis]] * short[:, None],
-            _SHORT,
-        )
+        one = linear_form(none, label, columns, _SHORT, _SATURATION)
         found.append(replace(one, into=begun))
     return found
 
@@ -306,21 +290,19 @@ def _saturation_parameters(_: Observation, effect: Effect) -> dict[str, Any]:
     return contract_parameters(effect)
 
 
-def _clipped_table(data: TableData) -> Iterator[Columns]:
+def _clipped_table(plant: TablePlant) -> Iterator[Columns]:
     """Yield an axis that clips at some share of the largest reading: on or off, no free size."""
-    largest = np.abs(data.plant.reading()).max(axis=0)
+    largest = np.abs(plant.reading()).max(axis=0)
     for axis, name in enumerate(WRENCH_AXES):
         for share in _TABLE_SHARES:
             limit = float(share * largest[axis])
-            values = data.plant.change(simulated.SensorSaturation(limit=limit, axis=name))[
-                :, :, None
-            ]
+            values = plant.change(simulated.SensorSaturation(limit=limit, axis=name))[:, :, None]
             words = {"axis": name, "limit": limit}
             yield Columns(values, {}, words, allowed=lambda w: 0.5 < w[0] < 1.5)
 
 
 SENSOR_SATURATION = DiagnosedEffect(
-    name=simulated.SensorSaturation.name,
+    name=_SATURATION,
     title="saturated sensor",
     sentence="the sensor's {axis} clips at {limit}",
     remedy="stay within the sensor's range, or take one of a larger range",
@@ -330,5 +312,5 @@ SENSOR_SATURATION = DiagnosedEffect(
     most_forms=2,
     known="loose",
     parameters=_saturation_parameters,
-    in_table=lambda data: list(_clipped_table(data)),
+    in_table=lambda plant: list(_clipped_table(plant)),
 )

@@ -27,22 +27,24 @@ STEP = 1e-3
 """Of differences, in typical sizes."""
 LEVER_M = 0.05
 """Usual torque over usual force."""
-USUAL_DELAY_S = 0.005
+DELAY_S = 0.005
+"""Usual delay of a stamp."""
 
 
 @dataclass(frozen=True)
 class TablePlant:
-    """A load on a sensor at n moments.
+    """A load on a sensor in the orientations of a table, n moments.
 
-    gravity (n, 3) in the sensor, m/s^2; rotation R_base_sensor (n, 3, 3), None if not known; at_s
-    (n,); offset (6,): the reading's constant part.
+    at_s (n,); offset (6,): the reading's constant part. known_load: the load is a file's and not
+    fitted, so that it may be wrong. by_order: the order of readings is all that is known of time.
     """
 
-    gravity: Array
-    rotation: Array | None
+    table: OrientationTable
     at_s: Array
     load: Load
     offset: Array
+    known_load: bool = False
+    by_order: bool = False
 
     def reading(self, effects: Sequence[Effect] = ()) -> Array:
         """Return the reading (n, 6), N and N.m in the sensor's frame."""
@@ -67,42 +69,28 @@ class TablePlant:
         """Return what an effect adds to the reading (n, 6)."""
         return self.reading([effect]) - self.reading()
 
+    def columns(self, effect: Effect, words: Mapping[str, str] | None = None) -> Columns:
+        """Return the columns of an effect's fitted parameters, by differences at zero."""
+        typical = np.concatenate([part.typicals for part in effect.fitted])
+        columns = [
+            self.change(effect.with_vector(STEP * size * unit)) / STEP
+            for size, unit in zip(typical, np.eye(len(typical)), strict=True)
+        ]
+        return Columns(np.stack(columns, axis=2), numbers_of(effect, typical), words or {})
+
     def _gravity(self, effects: Sequence[Effect]) -> Array:
-        if self.rotation is None:
-            return self.gravity
-        in_base = self.rotation[0] @ self.gravity[0]
+        gravity, rotation = self.table.gravity, self.table.rotation
+        if rotation is None:
+            return gravity
+        in_base = rotation[0] @ gravity[0]
         if np.allclose(in_base, GRAVITY_M_S2, rtol=0.0, atol=1e-6):
             in_base = GRAVITY_M_S2
         turned = in_base.copy()
         for effect in effects:
             turned = effect.gravity(turned)
         if np.array_equal(turned, in_base):
-            return self.gravity
-        return self.gravity + np.einsum("nji,j->ni", self.rotation, turned - in_base)
-
-
-@dataclass(frozen=True)
-class TableData:
-    """A table, and what its readings should be.
-
-    known_load: the load is a file's and not fitted, so that it may be wrong. by_order: the order of
-    readings is all that is known of time.
-    """
-
-    plant: TablePlant
-    table: OrientationTable
-    known_load: bool
-    by_order: bool
-
-
-def by_hooks(plant: TablePlant, effect: Effect, words: dict[str, str] | None = None) -> Columns:
-    """Return the columns of an effect's fitted parameters, by differences at zero."""
-    typical = np.concatenate([part.typicals for part in effect.fitted])
-    columns = [
-        plant.change(effect.with_vector(STEP * size * unit)) / STEP
-        for size, unit in zip(typical, np.eye(len(typical)), strict=True)
-    ]
-    return Columns(np.stack(columns, axis=2), numbers_of(effect, typical), words or {})
+            return gravity
+        return gravity + np.einsum("nji,j->ni", rotation, turned - in_base)
 
 
 def numbers_of(effect: Effect, typical: Array) -> Mapping[str, Callable[[Array], Array]]:
@@ -121,13 +109,13 @@ def _scaled(rows: int | slice, typical: Array, weights: Array) -> Array:
 
 def by_simulator(
     effect: Effect, *, of_the_load: bool = False
-) -> Callable[[TableData], list[Columns] | str]:
+) -> Callable[[TablePlant], list[Columns] | str]:
     """Return how an effect shows in a table by the simulator; of_the_load: if a file has that."""
 
-    def in_table(data: TableData) -> list[Columns] | str:
-        if of_the_load and not data.known_load:
+    def in_table(plant: TablePlant) -> list[Columns] | str:
+        if of_the_load and not plant.known_load:
             return "mass and centre are fitted (--tool)"
-        return [by_hooks(data.plant, effect)]
+        return [plant.columns(effect)]
 
     return in_table
 

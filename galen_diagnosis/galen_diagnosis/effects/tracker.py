@@ -39,7 +39,6 @@ BASE_SHIFT = DiagnosedEffect(
     needs="tracker",
     forms=no_forms,
     jump=Jump(
-        name=BaseShift.name,
         effect=lambda _, at_s: BaseShift(time_s=at_s),
         unknowns=slice(12, UNKNOWNS),
         typical=np.array([1e-3] * 3 + [3e-3] * 3),

@@ -34,7 +34,7 @@ from galen_sim_driver.effects.registry import contract_parameters
 from galen_diagnosis.effects.candidates import Candidate, floats, plain_form
 from galen_diagnosis.effects.diagnosed_effect import DiagnosedEffect
 from galen_diagnosis.effects.general_shapes import FrictionInJoints
-from galen_diagnosis.effects.table_data import USUAL_DELAY_S, JointTerms, in_lag
+from galen_diagnosis.effects.table_data import DELAY_S, JointTerms, in_lag
 from galen_diagnosis.observation.observation import Observation
 
 _FRICTIONS = {"tip": "Bouc and Wen, at the tip", "joints": "Dahl, in the joints"}
@@ -209,7 +209,7 @@ ENCODER_DELAY = DiagnosedEffect(
     sentence="the link's stamps are {delay_s} late against the motor's",
     remedy="correct the stamps of the link's encoder",
     in_joint_runs=lambda terms: [
-        in_lag(USUAL_DELAY_S * terms.column["delay"], "delay_s", lambda w: USUAL_DELAY_S * w[0])
+        in_lag(DELAY_S * terms.column["delay"], "delay_s", lambda w: DELAY_S * w[0])
     ],
 )
 

@@ -29,7 +29,7 @@ from galen_model.rest.segments import DirectionRest, rest_by_direction
 from galen_model.transmission import TERMS, JointRun, Parts, Scales, design, noise_of
 
 from galen_diagnosis.effects.registry import RECORDS
-from galen_diagnosis.effects.table_data import JointTerms, TableData, TablePlant
+from galen_diagnosis.effects.table_data import JointTerms, TablePlant
 from galen_diagnosis.observation.noise import ChannelNoise, channel_noise
 
 _FEWEST_BLOCKS = 4
@@ -107,8 +107,8 @@ def prepare_table(
     )
     if not known:
         rows = replace(rows, levels=levels, memories_s=(float("inf"),))
-    data = TableData(plant, averaged, known_load=tool is not None, by_order=table.time is None)
-    ways = {name: record.in_table(data) for name, record in RECORDS.items()}
+    plant = replace(plant, known_load=tool is not None, by_order=table.time is None)
+    ways = {name: record.in_table(plant) for name, record in RECORDS.items()}
     for name, record in RECORDS.items():
         if record.needs == "motion":
             ways[name] = "rest segments have no motion"
@@ -152,11 +152,11 @@ def _nominal(table: OrientationTable, tool: CalibrationFile | None) -> tuple[Tab
         loads = [Load(of.mass_kg, np.asarray(of.com_m)) for of in (tool.load, tool.adapter)]
         total = loads[0].moments + loads[1].moments
         load = Load(float(total[0]), total[1:] / total[0])
-        weight = TablePlant(table.gravity, table.rotation, at_s, load, np.zeros(6)).reading()
+        weight = TablePlant(table, at_s, load, np.zeros(6)).reading()
         offset = (table.wrench - weight).mean(axis=0)
         only_constants = np.concatenate([np.zeros(4), _WIDE[4:]])
         columns = _load_columns(table.gravity, only_constants)
-    return TablePlant(table.gravity, table.rotation, at_s, load, offset), columns
+    return TablePlant(table, at_s, load, offset), columns
 
 
 def _blocks(table: OrientationTable) -> tuple[np.ndarray, tuple[str, ...]]:
