@@ -320,30 +320,22 @@ def _recordings(arguments: argparse.Namespace, console: Console) -> int:
     found = find_recordings([seen(one) for one in arguments.inputs], BAGS, RECORDING_FILES)
     recordings = [recording.place for recording in found]
     tool = None if arguments.tool is None else seen(arguments.tool)
-    if arguments.results is not None:
-        job = Job(
-            tool,
-            folders={},
-            report=not arguments.no_report,
-            overwrite=arguments.overwrite,
-            output=None if arguments.output is None else local(arguments.output),
-            name_parts=name_depth(recordings),
-            inertial_forces=arguments.inertial_forces,
-            check_setup=not arguments.no_setup_check,
-            wrench_frame=arguments.wrench_frame,
-        )
-        archive = Archive(job, seen(arguments.results), _known(tool, arguments))
-        return _archive(archive, found, arguments)
-    folders = output_folders(recordings, arguments.output)
     job = Job(
         tool,
-        folders={recording: local(folder) for recording, folder in folders.items()},
+        folders={},
         report=not arguments.no_report,
         overwrite=arguments.overwrite,
         inertial_forces=arguments.inertial_forces,
         check_setup=not arguments.no_setup_check,
         wrench_frame=arguments.wrench_frame,
     )
+    if arguments.results is not None:
+        output = None if arguments.output is None else local(arguments.output)
+        job = replace(job, output=output, name_parts=name_depth(recordings))
+        archive = Archive(job, seen(arguments.results), _known(tool, arguments))
+        return _archive(archive, found, arguments)
+    folders = output_folders(recordings, arguments.output)
+    job = replace(job, folders={place: local(folder) for place, folder in folders.items()})
     for folder in folders.values():
         check_output(folder, overwrite=arguments.overwrite)  # before minutes of work
     check_file(arguments.next)

@@ -27,7 +27,6 @@ import sys
 import tempfile
 from collections.abc import Sequence
 from contextlib import nullcontext
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -46,7 +45,7 @@ from galen_model.poses.plan import quintic_duration_s
 from galen_sim_driver.effects.effect import BAG_ORDER, Effect
 from galen_sim_driver.effects.joints import JointGain
 from galen_sim_driver.effects.registry import contract_parameters, identities
-from galen_sim_driver.effects.sensor import BaseShift, BiasStep, SensorDrift
+from galen_sim_driver.effects.sensor import SensorDrift
 from galen_sim_driver.plant.cell import Plant, Sample
 from galen_sim_driver.plant.config import HandPush, PlantConfig, velocity_limits
 from galen_sim_driver.plant.motion import Trajectory, TrajectoryPoint
@@ -202,7 +201,7 @@ class _Session:
             start_joints=tuple(self._middle.tolist()),
             arm=arm,
             tracker_rate_hz=TRACKER_RATE_HZ,
-            effects=tuple(_in_plants_time(effect, starts) for effect in effects),
+            effects=tuple(effect.in_session(starts) for effect in effects),
             hand=_pushes(self._rng),
         )
         self._plant = Plant(config, np.random.default_rng([seed, 2]))
@@ -365,15 +364,6 @@ def _pushes(rng: np.random.Generator) -> tuple[HandPush, ...]:
                     HandPush(_PUSH_S * len(pushes), _PUSH_S - 0.4, (x, y, z), ramp_s=ramp_s)
                 )
     return tuple(pushes)
-
-
-def _in_plants_time(effect: Effect, starts: dict[str, float]) -> Effect:
-    """Return the same with its time from the plant's start, where it has one of a bag."""
-    if isinstance(effect, BiasStep) and effect.bag:
-        return replace(effect, bag="", time_s=effect.time_s + starts[effect.bag])
-    if isinstance(effect, BaseShift):
-        return replace(effect, time_s=effect.time_s + starts["push"])
-    return effect
 
 
 def _believed(tool: str, load: Load, adapter: Load, tip_m: Array, arm: Arm) -> CalibrationFile:

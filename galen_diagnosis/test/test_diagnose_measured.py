@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from galen_bags.arrays.tables import OrientationTable
 from galen_diagnosis.diagnose import main as diagnose
+from galen_diagnosis.effects.drift import drift_columns
+from galen_diagnosis.effects.table_data import TablePlant
 from galen_diagnosis.tables.conclusion import diagnose_blocks
 from galen_diagnosis.tables.rows import prepare_table
-from galen_diagnosis.tables.table_effects import TablePlant, drift_columns
 from galen_model.arm.galen import GALEN, GRAVITY_M_S2
 from galen_model.evidence.held_out import BlockEvidence, BlockRows, Columns
 from galen_model.load.model import Load, gravity_wrench
@@ -81,7 +82,7 @@ def test_held_out_density_is_that_of_the_dense_gaussian():
 def test_the_plant_of_a_table_reads_as_the_formulas_say():
     table = pose_table(6)
     load, offset = Load(0.8, np.array([0.01, -0.02, 0.05])), np.arange(6.0)
-    plant = TablePlant(table.gravity, table.rotation, np.arange(6.0), load, offset)
+    plant = TablePlant(table, np.arange(6.0), load, offset)
     weight = gravity_wrench(table.gravity, load)
     assert plant.reading() == pytest.approx(weight + offset)
     gain = (0.01, -0.02, 0.03, 0.0, 0.05, -0.01)
@@ -114,7 +115,7 @@ def test_a_planted_cause_is_found_in_a_table(cause):
     load = Load(0.9, np.array([0.004, -0.003, 0.045]))
     offset = np.array([9.0, -1.0, 5.0, 0.4, -0.7, -0.15])
     turned = effect_from("sensor_mount_rotation", {"rotvec_rad": [0.02, -0.02, 0.01]}, arm=GALEN)
-    plant = TablePlant(table.gravity, table.rotation, np.arange(10.0), load, offset)
+    plant = TablePlant(table, np.arange(10.0), load, offset)
     wrench = plant.reading([turned] if cause == turned.name else [])
     if cause == "unknown":  # each stop has a constant of its own
         wrench += np.repeat([0.3, 0.012], 3) * random.standard_normal(wrench.shape)

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from galen_diagnosis.effects.candidates import candidates
-from galen_diagnosis.effects.scans import crosstalk_candidates
+from galen_diagnosis.effects.forms import candidates
+from galen_diagnosis.effects.sensor import crosstalk_candidates
 from galen_diagnosis.inference.diagnosing import _cannot_tell, diagnose_recording
 from galen_diagnosis.inference.gap import closed_fraction
 from galen_diagnosis.observation.observation import Observation, Unknowns

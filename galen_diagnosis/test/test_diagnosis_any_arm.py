@@ -13,7 +13,8 @@ from galen_bags.formats.bag import open_bag
 from galen_bags.formats.writer import BagWriter
 from galen_diagnosis.answer.answer import FoundCause, Interval
 from galen_diagnosis.diagnose import main as diagnose
-from galen_diagnosis.effects.candidates import candidates, sought
+from galen_diagnosis.effects.forms import candidates
+from galen_diagnosis.effects.registry import sought
 from galen_diagnosis.experiment.next_experiment import propose, write_sweep
 from galen_diagnosis.experiment.separation import Alternative
 from galen_diagnosis.experiment.trial import push_trial

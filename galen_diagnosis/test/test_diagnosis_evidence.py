@@ -4,11 +4,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from galen_diagnosis.effects.drift import SENSOR_DRIFT
+from galen_diagnosis.effects.registry import record_of
 from galen_diagnosis.inference.discrepancy import (
-    KAPPA,
-    KNOWN,
     Discrepancies,
-    _between_knots,
     looks_like,
 )
 from galen_diagnosis.inference.posterior import Scored, Settings, posterior
@@ -109,7 +108,7 @@ def test_what_a_law_may_be_off_is_in_proportion_to_what_it_does():
     behind = Background(np.zeros((count, 1)), np.ones(1))
     fit = SimpleNamespace(parts=(part,), values=(None,), effects=(object(),))
     off = Discrepancies(observation, behind).of(fit)[0].toarray()
-    size = KAPPA[KNOWN["cable_drag"]]
+    size = record_of("cable_drag").kappa
     np.testing.assert_allclose(np.sum(off**2, axis=1), (size * signature) ** 2, atol=1e-12)
     assert np.linalg.matrix_rank(off) > 10
 
@@ -122,14 +121,14 @@ def test_a_drift_may_be_as_rough_between_knots_as_it_is_over_them():
     knots = at_s[::40]
     drift = SensorDrift.through(knots, walk[::40])
     rows = SimpleNamespace(session_s=at_s)
-    hats = _between_knots(drift, rows, np.tile(np.eye(6)[0], (4000, 1)))
+    hats = SENSOR_DRIFT.between_knots(drift, rows, np.tile(np.eye(6)[0], (4000, 1)))
     allowed = np.sqrt(np.sum(hats.toarray() ** 2, axis=1))
     middle = np.arange(20, 3900, 40)
     off = walk[middle, 0] - np.interp(middle, knots, walk[::40, 0])
     assert np.mean(allowed[middle] ** 2) == pytest.approx(np.mean(off**2), rel=0.5)
     assert np.all(allowed[::40][:-1] < 1e-9)
     straight = SensorDrift.through(knots, np.outer(knots, np.ones(6)))
-    assert abs(_between_knots(straight, rows, np.ones((4000, 6)))).sum() < 1e-6
+    assert abs(SENSOR_DRIFT.between_knots(straight, rows, np.ones((4000, 6)))).sum() < 1e-6
 
 
 def test_only_where_an_effect_acts_may_it_be_taken_for_another():

@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from galen_diagnosis.effects.candidates import Candidate, unknown_columns
-from galen_diagnosis.effects.scans import drift_candidates, scan_steps
+from galen_diagnosis.effects.candidates import Candidate
+from galen_diagnosis.effects.drift import BIAS_STEP, drift_candidates
+from galen_diagnosis.effects.forms import unknown_columns
 from galen_diagnosis.inference.diagnosing import _full_covariance
 from galen_diagnosis.inference.refine import Hypothesis
 from galen_diagnosis.observation.observation import Observation, Unknowns
@@ -46,8 +47,8 @@ def test_a_step_is_found_whatever_order_the_bags_were_recorded_in(recording):
     observation = Observation(replace(recording, bags=bags))
     unknown = unknown_columns(observation)
     behind = Background(unknown, np.array([0.1] * 3 + [2e-3] * 3 + [np.inf] * 12))
-    scan = scan_steps(observation, unknown[:, :6], observation.nominal, behind)
-    bag, at_s = scan.times[scan.best()]
+    found, _ = BIAS_STEP.jump.judged(observation, unknown, observation.nominal, behind)
+    bag, at_s = found.base.bag, found.base.time_s
     assert bag == "sweep"
     assert at_s == pytest.approx(10.0, abs=0.5)
 

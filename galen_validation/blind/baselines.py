@@ -18,13 +18,9 @@ from typing import Any
 
 import numpy as np
 from galen_diagnosis.answer.answer import NONE
-from galen_diagnosis.effects.candidates import (
-    Candidate,
-    candidates,
-    crosstalk_candidate,
-    crosstalks,
-    unknown_columns,
-)
+from galen_diagnosis.effects.candidates import Candidate
+from galen_diagnosis.effects.forms import candidates, unknown_columns
+from galen_diagnosis.effects.sensor import crosstalk_candidate, crosstalks
 from galen_diagnosis.observation.observation import UNKNOWNS, Observation
 from galen_diagnosis.observation.rows import BAGS
 from galen_model.arm.galen import WRENCH_AXES

@@ -19,8 +19,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
-from galen_diagnosis.effects.candidates import unknown_columns
-from galen_diagnosis.effects.forms import healthy_background
+from galen_diagnosis.effects.forms import healthy_background, unknown_columns
 from galen_diagnosis.observation.observation import Observation
 from galen_diagnosis.observation.recording import BagData, DiagnosticRecording, Track
 from galen_model.arrays import Array

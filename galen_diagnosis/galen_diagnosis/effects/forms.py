@@ -1,31 +1,43 @@
-"""All forms of all effects on a recording, each with how the rows change by it at nominal."""
+"""All forms of all effects on a recording, and the background of every fit.
+
+Beside every hypothesis are fitted unknowns that are no gap, and a healthy arm's tolerances: no arm
+is the nominal one to the last micrometre. Its joints' zeros, its sensor's gains, its tool's file
+are right within what workshops and calibrations reach; a gap is what lies beyond.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
 from galen_model.arrays import Array
 from galen_model.estimation.evidence import Background, Evidence, evidence
 
-from galen_diagnosis.effects.candidates import (
-    Candidate,
-    background,
-    candidates,
-    tolerance,
-    unknown_columns,
-)
-from galen_diagnosis.effects.scans import (
-    bent_candidates,
-    crosstalk_candidates,
-    drift_candidates,
-    jump_candidate,
-    saturation_candidates,
-    scan_shifts,
-    scan_steps,
-)
-from galen_diagnosis.observation.observation import Observation
+from galen_diagnosis.effects.candidates import Candidate
+from galen_diagnosis.effects.diagnosed_effect import Sizes
+from galen_diagnosis.effects.registry import record_of, sought
+from galen_diagnosis.observation.observation import UNKNOWNS, Observation, Unknowns
+from galen_diagnosis.observation.rows import CHANNELS, TIP_AXES
+
+_ZERO_N, _ZERO_NM = 0.1, 2e-3
+"""How far the sensor's zero may lie off, beside what its drift makes of it."""
+
+_PLACE_M, _PLACE_RAD = 0.05e-3, 0.08e-3
+"""How well the joints tell where the tip is, from one place of the arm to another: its geometry."""
+
+
+def candidates(observation: Observation) -> list[Candidate]:
+    """Return all forms that the recording could show and the simulator differentiates."""
+    there = {"": True}
+    there["tracker"] = any(view.tracks for view in observation.views.values())
+    there["motion"] = bool(np.any(np.abs(observation.rows.rate) > 0.05))
+    found: list[Candidate] = []
+    for name, effect in sought(observation.recording.arm).items():
+        record = record_of(name)
+        if there[record.needs]:
+            found += record.forms(observation, effect)
+    return found
 
 
 class Forms:
@@ -40,17 +52,15 @@ class Forms:
         self._unknowns = unknown_columns(observation)
         known = candidates(observation)
         columns = [_columns(observation, one) for one in known]
-        by_key = {one.key: own for one, own in zip(known, columns, strict=True)}
-        self.behind = background(observation, self._unknowns, by_key)
+        self.behind = background(observation, self._unknowns, zip(known, columns, strict=True))
         zero = self._unknowns[:, :6]
-        for one in (
-            *crosstalk_candidates(observation, zero),
-            *drift_candidates(observation, zero),
-            *bent_candidates(observation, zero),
-        ):
-            known.append(one)
-            columns.append(_columns(observation, one))
-        self._limits = saturation_candidates(observation, zero)
+        records = [record_of(name) for name in sought(observation.recording.arm)]
+        for record in records:
+            more = list(record.columns(observation, zero))
+            known += more
+            columns += [_columns(observation, one) for one in more]
+        self._limits = [one for record in records for one in record.limits(observation, zero)]
+        self._jumps = [record.jump for record in records if record.jump is not None]
         ends = np.cumsum([own.shape[1] for own in columns]).tolist()
         self._matrix = np.empty((len(observation.rows), ends[-1]), order="F")
         self._places: list[tuple[Candidate, slice, Array]] = []
@@ -82,18 +92,8 @@ class Forms:
             beyond = evidence(gram, along, limit.typical)
             log = beyond.log_bayes + 0.5 * gained + limit.bonus
             out.append((limit, replace(beyond, log_bayes=log, gain=beyond.gain + gained)))
-        zero, marker = self._unknowns[:, :6], self._unknowns[:, 12:]
-        for scan, columns in (
-            (scan_steps(self._observation, zero, rows, behind), zero),
-            (scan_shifts(self._observation, marker, rows, behind), marker),
-        ):
-            if scan is not None:
-                best = scan.best()
-                candidate = jump_candidate(self._observation, scan, columns, best)
-                # Where the time is not known, a jump at any of them shares the probability.
-                found = replace(scan.found[best], log_bayes=scan.log_bayes)
-                out.append((candidate, found))
-        return out
+        jumps = (one.judged(self._observation, self._unknowns, rows, behind) for one in self._jumps)
+        return [*out, *filter(None, jumps)]
 
 
 def _columns(observation: Observation, candidate: Candidate) -> Array:
@@ -109,11 +109,61 @@ def _columns(observation: Observation, candidate: Candidate) -> Array:
     return part.jacobian(observation, lambda values: [part.at(values)], part.start)
 
 
+def unknown_columns(observation: Observation) -> Array:
+    """Return how the prediction changes (N, 18) by each of `Unknowns`."""
+    steps = np.array([1e-2] * 3 + [1e-3] * 3 + [1e-4] * 6 + [1.0] * 6)
+    columns = []
+    for k, step in enumerate(steps):
+        values = np.zeros(UNKNOWNS)
+        values[k] = step
+        columns.append(observation.change((), Unknowns(values)) / step)
+    return np.stack(columns, axis=1)
+
+
+def background(
+    observation: Observation, unknowns: Array, columns: Iterable[tuple[Candidate, Array]]
+) -> Background:
+    """Join unknowns (N, 18), places of the arm, and tolerances among candidates' columns (N, p)."""
+    parts = [unknowns]
+    std = [np.array([_ZERO_N] * 3 + [_ZERO_NM] * 3 + [np.inf] * 12)]
+    places = _place_columns(observation)
+    parts.append(places)
+    std.append(np.tile([_PLACE_M] * 3 + [_PLACE_RAD] * 3, places.shape[1] // 6))
+    for one, values in columns:
+        size = _tolerance(observation, one)
+        if size is not None:
+            parts.append(values)
+            std.append(np.atleast_1d(np.asarray(size, dtype=float)))
+    return Background(np.concatenate(parts, axis=1), np.concatenate(std))
+
+
+def _tolerance(observation: Observation, one: Candidate) -> Sizes | None:
+    """Return what a healthy arm's parameters may be off, in a form; None for no such."""
+    return None if one.wider else record_of(one.effect).tolerances(observation.recording.tool)
+
+
+def _place_columns(observation: Observation) -> Array:
+    """Rows of the tip at each place of the arm: (N, 6 places), in the rows' units."""
+    rows = observation.rows
+    first = CHANNELS.index(TIP_AXES[0])
+    tip = (rows.channel >= first) & (rows.channel < first + 6)
+    gain = np.zeros(len(rows))
+    # A constant becomes sqrt(n) / sigma in a row of n samples: one over the row's scale.
+    gain[tip] = 1.0 / rows.scale[tip]
+    places = [number for number in np.unique(rows.pose[tip]) if number >= 0]
+    columns = np.zeros((len(rows), 6 * len(places)))
+    for k, place in enumerate(places):
+        for axis in range(6):
+            here = tip & (rows.pose == place) & (rows.channel == first + axis)
+            columns[here, 6 * k + axis] = gain[here]
+    return columns
+
+
 def healthy_background(observation: Observation) -> Background:
     """Return unknowns and a healthy arm's tolerances alone."""
-    columns = {
-        one.key: _columns(observation, one)
+    columns = (
+        (one, _columns(observation, one))
         for one in candidates(observation)
-        if tolerance(observation, *one.key) is not None
-    }
+        if _tolerance(observation, one) is not None
+    )
     return background(observation, unknown_columns(observation), columns)

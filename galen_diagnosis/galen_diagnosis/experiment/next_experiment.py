@@ -34,6 +34,7 @@ from galen_model.load.identification import check_planned_poses
 from galen_model.poses.design import PoseDesign, PoseDesignError
 from galen_model.poses.plan import SweepRange, SweepTimes, order_poses
 
+from galen_diagnosis.effects.registry import RECORDS
 from galen_diagnosis.experiment.separation import Alternative, choose_units, separate
 from galen_diagnosis.experiment.trial import Trial, motion_trial, push_trial, still_trial
 
@@ -45,7 +46,7 @@ _AS_GOOD = 0.01
 _WORTH = 0.05
 _MOST_ALTERNATIVES = 4
 
-_OF_THE_TOOL = frozenset({"tool_mass_error", "tool_com_error", "loose_tool", "cable_drag"})
+_OF_THE_TOOL = frozenset(name for name, record in RECORDS.items() if record.of_the_tool)
 _POSES = 14
 _AVERAGE_S = 1.0
 _SETTLE_S = 0.4

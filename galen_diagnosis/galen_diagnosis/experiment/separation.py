@@ -29,11 +29,10 @@ import numpy as np
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import CalibrationFile
 from galen_sim_driver.effects.effect import Effect
-from galen_sim_driver.effects.sensor import SensorDrift
 
+from galen_diagnosis.effects.registry import RECORDS
 from galen_diagnosis.experiment.trial import Trial, free_columns, load_columns, signature
 
-_ONCE = frozenset({"bias_step", "base_shift"})
 _STEP = 1e-2
 _DRAWS = 256
 _SEED = 6
@@ -89,12 +88,13 @@ class Alternative:
             vector = effect.vector()
             rows = range(at, at + len(vector))
             at += len(vector)
-            if effect.name in _ONCE:
+            record = RECORDS.get(effect.name)
+            if record is not None and record.jump is not None:
                 continue
-            if isinstance(effect, SensorDrift):
-                effect = SensorDrift(rate_per_hour=tuple(vector.tolist()))
+            later = effect if record is None else record.later(effect)
+            if later is not effect:
                 loose += zip(rows, vector.tolist(), strict=True)
-            effects.append(effect)
+            effects.append(later)
             kept += rows
         covariance = np.array(self.covariance, dtype=float)
         for row, size in loose:

@@ -29,7 +29,7 @@ from galen_sim_driver.replay import Replay, Scene
 from scipy.linalg import block_diag
 
 _BASE_IN_TRACKER_M = np.array([1.2, 0.3, 0.2])
-"""A tracker stands about so far away; only `tracker_scale` asks."""
+"""A tracker stands about so far away; only its scale asks."""
 _TRACKER_STD = np.repeat([TRACKER_POSITION_NOISE_M, TRACKER_ROTATION_NOISE_RAD], 3)
 _WRENCH_HZ, _TRACKER_HZ = 500.0, 60.0
 _MOTION_STEP_S = 0.02

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -25,7 +25,7 @@ from galen_diagnosis.answer.answer import (
     Verdict,
 )
 from galen_diagnosis.answer.localization import by_pose, localize
-from galen_diagnosis.effects.candidates import NEEDS_MOTION, NEEDS_TRACKER, sought
+from galen_diagnosis.effects.registry import RECORDS, record_of, sought
 from galen_diagnosis.experiment.next_experiment import Experiment, propose
 from galen_diagnosis.experiment.separation import Alternative
 from galen_diagnosis.inference.discrepancy import Discrepancies, answered
@@ -111,7 +111,7 @@ def explore(recording: DiagnosticRecording, progress: Progress | None = None) ->
     remaining, floor = remaining_energy(observation.rows, behind.left(best.raw_rows))
     fast = oscillation(observation.streams_with(best.effects, best.unknowns))
     swing = 0.0
-    if fast is not None and "loose_tool" in best.names:  # it swings
+    if fast is not None and _swings(best.names):
         swing = max(fast.log_bayes, 0.0)
     elif fast is not None:
         seen.append(fast)
@@ -119,7 +119,7 @@ def explore(recording: DiagnosticRecording, progress: Progress | None = None) ->
     varied = max([one.log_bayes for one in varies], default=0.0)
     left = max(answered(best, max(remaining, 2.0 * clear)), 2.0 * varied)
     sums = [
-        one if "loose_tool" in one.names else replace(one, energy=one.energy + 2.0 * swing)
+        one if _swings(one.names) else replace(one, energy=one.energy + 2.0 * swing)
         for one in scored(of, left, max(answered(best, clear), varied))
     ]
     fitted = {one.names[0] for one in sums if len(one.names) == 1}
@@ -132,6 +132,10 @@ def explore(recording: DiagnosticRecording, progress: Progress | None = None) ->
             energy = max(none.energy - 2.0 * max(log, 0.0), least)
             sums.append(Scored((name,), energy, max(-log, 0.0)))
     return Explored(observation, found, discrepancies, floor, (*seen, *varies), tuple(sums), alike)
+
+
+def _swings(names: Iterable[str]) -> bool:
+    return any(record_of(name).swings for name in names)
 
 
 def diagnose_recording(
@@ -249,8 +253,8 @@ def _causes(
     for number, fit in enumerate(fits):
         off = hstack(explored.discrepancies.of(fit), format="csc")
         spread = covariance(explored.observation, found.behind, off, fit)
-        told = parameters(explored.observation, fit, spread)
-        for index, (part, named) in enumerate(zip(fit.parts, told, strict=True)):
+        found_parameters = parameters(explored.observation, fit, spread)
+        for index, (part, named) in enumerate(zip(fit.parts, found_parameters, strict=True)):
             if part.effect in causes:
                 continue
             closed = gap.fraction if number == 0 and len(fit.parts) == 1 else None
@@ -363,13 +367,16 @@ def _cannot_tell(observation: Observation) -> tuple[str, ...]:
     recording = observation.recording
     out = [f"no {name}: not diagnosed" for name in recording.missing]
     if not any(view.tracks for view in observation.views.values()):
-        names = ", ".join(name for name in sought(recording.arm) if name in NEEDS_TRACKER)
-        out.append(f"no tracker: {names} can't be seen")
+        out.append(f"no tracker: {_needing('tracker', sought(recording.arm))} can't be seen")
     if "motion" in recording.missing and "sweep" in recording.missing:
-        out.append(f"no motion: {', '.join(sorted(NEEDS_MOTION))} can't be seen")
+        out.append(f"no motion: {_needing('motion', sorted(RECORDS))} can't be seen")
     if not len(_stood(observation)):
         out.append(
             f"still at fewer than {_LEAST_POSES} poses: no next experiment is proposed, since where"
             " else the arm may stand is not known"
         )
     return tuple(out)
+
+
+def _needing(what: str, names: Iterable[str]) -> str:
+    return ", ".join(name for name in names if record_of(name).needs == what)

@@ -3,7 +3,7 @@
 An effect's model is not quite the arm's. With s (N,) what a fitted effect changes of the rows, the
 arm's own change is taken to be (1 + m) s with a field m of mean zero: its model discrepancy
 (Kennedy and O'Hagan, J. R. Statist. Soc. B 63, 2001), here multiplicative. Where the effect does
-nothing nothing is allowed, so that what stands beside it there keeps its whole evidence. m is
+nothing nothing is allowed, so that what is there as well keeps its whole evidence. m is
 constant over a piece of time in one group of channels, and over one channel of a bag,
 
     m = kappa (a_piece + a_channel) / sqrt(2),    a ~ N(0, 1),
@@ -21,10 +21,11 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from galen_model.arrays import Array
 from galen_model.estimation.evidence import Background
-from galen_sim_driver.effects.sensor import SensorDrift
 from scipy.linalg import cholesky, solve_triangular
 from scipy.sparse import csc_array, hstack
 
+from galen_diagnosis.effects.diagnosed_effect import DiagnosedEffect
+from galen_diagnosis.effects.registry import record_of
 from galen_diagnosis.inference.refine import Hypothesis
 from galen_diagnosis.inference.structure import Structure
 from galen_diagnosis.observation.observation import Observation
@@ -32,32 +33,10 @@ from galen_diagnosis.observation.rows import BAGS, CHANNELS, REGIMES, TIP_AXES, 
 
 _PIECES = {"sweep": 12, "motion": 10, "push": 40}
 """Into how many pieces of equally many blocks a bag is cut, loaded or not."""
-_SECONDS = ("wrench_delay", "tracker_delay")
-"""Effects that may change from second to second: their pieces are of one."""
 _LOADED = [REGIMES.index(name) for name in ("loading", "held")]
-
-KAPPA = {"exact": 0.015, "firm": 0.06, "loose": 0.2, "rough": 0.4}
-"""Standard deviation of m, by how well an effect's model is known."""
 
 _ANOTHER_MODEL = {"exact": 1.0, "firm": 1.0, "loose": 3.0, "rough": 8.0}
 """Log of the odds that m of about 1 is the effect, with a model that is not fitted here."""
-
-KNOWN = {
-    "cable_drag": "loose",
-    "deflection_hysteresis": "rough",
-    "backlash": "rough",
-    "inertial_load": "firm",
-    "sensor_saturation": "loose",
-    "loose_tool": "rough",
-    "base_shift": "firm",
-    "bias_step": "firm",
-    "joint_compliance": "firm",
-    "joint_axis_misalignment": "firm",
-    "wrench_delay": "firm",
-    "tracker_delay": "firm",
-}
-"""How well an effect's model is known; all others are exact."""
-
 
 _UNSEEN, _LEAST = 0.5, 0.1
 _DIRECTIONS = 20.0
@@ -67,13 +46,14 @@ _ACTS = 0.1
 def answered(hypothesis: Hypothesis, left: float) -> float:
     """Return what a hypothesis has to answer for of the structure that it leaves, an energy.
 
-    A law also misses what no field m on such pieces shows: an instant, a corner, the healthy arm's
-    own tolerances where it moves otherwise. Of an effect's energy E a part (_UNSEEN kappa)^2 E, of
-    any effect _LEAST^2 E, spread over some directions, is nothing unlisted.
+    A model also misses what no field m on such pieces shows: an instant, a corner, the healthy
+    arm's own tolerances where it moves otherwise. Of an effect's energy E a part
+    (_UNSEEN kappa)^2 E, of any effect _LEAST^2 E, spread over some directions, is nothing unlisted.
     """
     energies = zip(hypothesis.parts, hypothesis.energies_explained(), strict=True)
     missed = sum(
-        max(_UNSEEN * kappa(part.effect), _LEAST) ** 2 * energy for part, energy in energies
+        max(_UNSEEN * record_of(part.effect).kappa, _LEAST) ** 2 * energy
+        for part, energy in energies
     )
     return left / (1.0 + missed / _DIRECTIONS)
 
@@ -95,21 +75,12 @@ def looks_like(others: Sequence[tuple[str, Array]], signature: Array) -> float:
     others: names and signatures (N,) of what is there; signature (N,): of another effect beside
     them. As `answered`, but only where the others act.
     """
-    missed = sum((_UNSEEN * kappa(name)) ** 2 * one**2 for name, one in others)
+    missed = sum((_UNSEEN * record_of(name).kappa) ** 2 * one**2 for name, one in others)
     missed = np.broadcast_to(missed, signature.shape)
     acts = missed > _ACTS * np.mean(missed)
     share = float(np.sum(signature[acts] ** 2) / max(np.sum(signature**2), 1e-300))
     size = float(np.sum(missed)) / _DIRECTIONS
     return share * size / (1.0 + size)
-
-
-def kappa(effect: str) -> float:
-    """Return the standard deviation of an effect's m."""
-    return KAPPA[_level(effect)]
-
-
-def _level(effect: str) -> str:
-    return KNOWN.get(effect.partition(":")[0], "exact")
 
 
 class Discrepancies:
@@ -133,11 +104,12 @@ class Discrepancies:
         off, rough = [csc_array((len(rows.channel), 0))], [csc_array((len(rows.channel), 0))]
         each = self.signatures(hypothesis) if shown is None else shown
         for part, alone, one in zip(hypothesis.parts, each, hypothesis.effects, strict=True):
-            off.append(_columns(kappa(part.effect) * alone, self._parts(part.effect)))
-            if part.effect in _REMEMBER:
+            record = record_of(part.effect)
+            off.append(_columns(record.kappa * alone, self._parts(record)))
+            if record.remembers:
                 off.append(self._until_loaded(alone))
-            if isinstance(one, SensorDrift) and len(one.knots_s) > 2:
-                rough.append(_between_knots(one, rows, self._behind.columns[:, :6]))
+            if record.between_knots is not None:
+                rough.append(record.between_knots(one, rows, self._behind.columns[:, :6]))
         return hstack(off, format="csc"), hstack(rough, format="csc")
 
     def signatures(self, hypothesis: Hypothesis) -> list[Array]:
@@ -166,17 +138,18 @@ class Discrepancies:
         out = []
         each = list(zip(hypothesis.names, shown, strict=True))
         for k, (part, alone) in enumerate(zip(hypothesis.parts, shown, strict=True)):
-            columns = _columns(alone, self._parts(part.effect))
+            record = record_of(part.effect)
+            columns = _columns(alone, self._parts(record))
             gain, cost = gain_and_cost(behind, columns, hypothesis.raw_rows)
-            log = gain - cost - _ANOTHER_MODEL[_level(part.effect)]
+            log = gain - cost - _ANOTHER_MODEL[record.known]
             log *= 1.0 - looks_like([*each[:k], *each[k + 1 :]], alone)
             out.append(Structure(f"size of {part.effect}, by time and load", log, 2.0 * gain))
         return out
 
-    def _parts(self, effect: str) -> np.ndarray:
-        if effect in _SECONDS:
+    def _parts(self, record: DiagnosedEffect) -> np.ndarray:
+        if record.by_second:
             return self._by_second
-        return self._push_by_second if effect in _REMEMBER else self._pieces
+        return self._push_by_second if record.remembers else self._pieces
 
     def _until_loaded(self, signature: Array) -> csc_array:
         """Return the tip's displacements until it was loaded, as large as signature (N,)."""
@@ -223,8 +196,6 @@ def _columns(signature: Array, of: np.ndarray) -> csc_array:
     return csc_array((values, where), shape=(len(signature), len(parts)))
 
 
-_REMEMBER = ("deflection_hysteresis", "backlash")
-"""Effects of what was before: they cross and lag within a second, and remember of the way there."""
 _ENOUGH = 0.5
 
 
@@ -248,26 +219,3 @@ def _before_loads(observation: Observation) -> Iterator[tuple[np.ndarray, np.nda
             before = here[rows.bag_s[here] < loaded.min(initial=np.inf)]
             for channel in np.unique(rows.channel[before]):
                 yield here[rows.channel[here] == channel], before[rows.channel[before] == channel]
-
-
-_LEVELS = 2
-"""How often the time between knots is halved."""
-
-
-def _between_knots(drift: SensorDrift, rows: ResidualRows, zero: Array) -> csc_array:
-    """Return hats between a drift's knots, in each axis; zero (N, 6): columns of the zero."""
-    knots, levels = np.array(drift.knots_s), np.reshape(drift.levels, (-1, 6))
-    std = np.sqrt(np.mean(np.diff(levels, 2, axis=0) ** 2, axis=0) / 8.0)
-    parts = []
-    for level in range(_LEVELS):
-        # Between two knots a hat rises from 0 to 1 and falls again.
-        at = np.interp(rows.session_s, knots, np.arange(len(knots)) * 2.0**level)
-        hat = np.minimum(np.floor(at), (len(knots) - 1) * 2**level - 1)
-        height = 1.0 - np.abs(2.0 * (at - hat) - 1.0)
-        size = height[:, None] * zero * (std / 2.0 ** (0.5 * level))
-        column = hat.astype(np.int64)[:, None] * 6 + np.arange(6)
-        row = np.repeat(np.arange(len(at)), 6)
-        shape = (len(at), 6 * (len(knots) - 1) * 2**level)
-        parts.append(csc_array((size.ravel(), (row, column.ravel())), shape=shape))
-    whole = hstack(parts, format="csc")
-    return whole[:, np.flatnonzero(abs(whole).sum(axis=0))]

@@ -5,42 +5,36 @@ In the linear picture of a fit an effect of size theta has the strength (noncent
     D = sqrt(theta^T G theta),    G = T^T P T,
 
 with T how the rows change by the effect's numbers and P what is left of them beside the unknowns, a
-healthy arm's tolerances and the effects that were found (`galen_model.estimation.evidence`). Noise
-makes it D + z, z ~ N(0, 1). `detection_strength` asks the posterior itself for the D* from which on
-the effect is answered; one of D* + 1.645 is missed in one recording of twenty (L. A. Currie's
-detection limit, Analytical Chemistry 40, 1968). Each number is taken alone, the others zero, with
-all of its form fitted; of an effect's forms (a knee, a side that a cable comes from, a pair of
-axes) the one that is hardest to see counts. Jumps are those in the middle of a bag; nearer to the
-recording's ends larger ones are missed. A linear picture: what it says of a backlash or a cable
-holds for small ones.
+healthy arm's tolerances and the effects that were found (`galen_model/estimation/evidence.py`).
+Noise makes it D + z, z ~ N(0, 1). `detection_strength` asks the posterior itself for the D* from
+which on the effect is answered; one of D* + 1.645 is missed in one recording of twenty (L. A.
+Currie's detection limit, Analytical Chemistry 40, 1968). Each number is taken alone, the others
+zero, with all of its form fitted; of an effect's forms (a knee, a side that a cable comes from, a
+pair of axes) the one that is hardest to see counts. Jumps are those in the middle of a bag; nearer
+to the recording's ends larger ones are missed. A linear picture: its sizes of a backlash or a cable
+hold for small ones.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from galen_model.arrays import Array
 from galen_model.estimation.evidence import Background, evidence
-from galen_sim_driver.effects.effect import Effect
-from galen_sim_driver.effects.sensor import BaseShift, BiasStep
 from scipy.optimize import brentq
 from scipy.sparse import hstack
 
 from galen_diagnosis.answer.answer import NO_GAP, UNKNOWN, Excluded, FoundCause
-from galen_diagnosis.effects.candidates import (
-    NEEDS_MOTION,
-    NEEDS_TRACKER,
-    Candidate,
-    sought,
-)
+from galen_diagnosis.effects.candidates import Candidate, plain_form
+from galen_diagnosis.effects.diagnosed_effect import no_forms
 from galen_diagnosis.effects.forms import Forms
-from galen_diagnosis.inference.gap import told
+from galen_diagnosis.effects.registry import record_of, sought
 from galen_diagnosis.inference.posterior import Scored, Settings, posterior
 from galen_diagnosis.inference.refine import Hypothesis
-from galen_diagnosis.observation.observation import UNKNOWNS, Observation
+from galen_diagnosis.observation.observation import Observation
 
 if TYPE_CHECKING:
     from galen_diagnosis.inference.diagnosing import Explored
@@ -50,40 +44,12 @@ _FAR = 1e6
 _MISSED_ONCE_IN_20 = 1.645
 _WEAKEST, _JUST_SEEN, _USUAL, _STRONGEST = 1.0, 10.0, 30.0, 1e3
 """Strengths that are tried; effects that are just seen have one of about 10."""
-_WIDER = ("all", "smooth", "any shape", "in joints", "field", "curved field")
-"""Forms that hold a smaller one, which is easier to see."""
 _Key = tuple[str, Any]
 """A parameter's name, and its place in a list or mapping, None for neither."""
+_Form = tuple[Candidate, Array]
+"""An effect in one form, G (p, p) of its numbers."""
 _Words = tuple[tuple[_Key, str], ...]
 _HIDDEN = "something unlisted is there and may hide it"
-
-
-@dataclass(frozen=True)
-class _Form:
-    """An effect in one form: G (p, p) of its numbers, from where they start, how large they are."""
-
-    effect: Effect
-    gram: Array
-    start: Array
-    typical: Array
-    candidate: Candidate | None = None
-
-    def at(self, number: int, size: float) -> Effect:
-        """Return the effect with one of its numbers off by a size."""
-        values = self.start.copy()
-        values[number] += size
-        if self.candidate is None:
-            return self.effect.with_vector(values)
-        return self.candidate.at(values)
-
-    def reaches(self, number: int, size: float) -> bool:
-        """Whether the effect has such a size at all."""
-        high = (
-            np.concatenate([np.full(p.size, p.upper) for p in self.effect.fitted])
-            if self.candidate is None
-            else self.candidate.limits()[1]
-        )
-        return bool(self.start[number] + size <= high[number])
 
 
 def detection_strength(settings: Settings, effect: str, occam: float, beside: Scored) -> float:
@@ -143,7 +109,7 @@ def excluded_effects(
             out.append(Excluded(name, because=_HIDDEN))
         elif name in alike:
             out.append(Excluded(name, because=f"can't be distinguished from {alike[name]}"))
-        elif name == "sensor_saturation":
+        elif record_of(name).limits is not no_forms:
             reached = np.max(
                 [abs(b.wrenches).max(0) for b in observation.recording.bags.values()], 0
             )
@@ -156,9 +122,8 @@ def excluded_effects(
 
 
 def _why_unseen(name: str) -> str:
-    if name in NEEDS_TRACKER:
-        return "no tracker"
-    return "no motion" if name in NEEDS_MOTION else "too short a recording"
+    needed = record_of(name).needs
+    return f"no {needed}" if needed else "too short a recording"
 
 
 def _forms(explored: Explored, behind: Background) -> dict[str, list[_Form]]:
@@ -167,31 +132,27 @@ def _forms(explored: Explored, behind: Background) -> dict[str, list[_Form]]:
     nothing = sought(observation.recording.arm)
     out: dict[str, list[_Form]] = {}
     for one, gram, _ in explored.found.forms.reduced(behind, np.zeros(len(observation.rows))):
-        if one.label in _WIDER:
+        if one.wider:
             continue
-        if one.make is None:
-            form = _Form(one.base, gram, one.start, one.typical, one)
-        else:
-            effect = nothing[one.effect]
-            form = _Form(effect, gram, effect.vector(), one.typical)
-        out.setdefault(one.effect, []).append(form)
-    for form in _jumps(observation, behind, explored.found.forms):
-        out.setdefault(form.effect.identity, []).append(form)
+        form = one
+        if one.make is not None:
+            form = replace(plain_form(nothing[one.effect]), typical=one.typical)
+        out.setdefault(one.effect, []).append((form, gram))
+    for form, gram in _jumps(observation, behind, explored.found.forms):
+        out.setdefault(form.effect, []).append((form, gram))
     return out
 
 
 def _jumps(observation: Observation, behind: Background, forms: Forms) -> Iterator[_Form]:
-    """Yield jumps in the middle of each bag, of the sensor's zero and of the base's marker."""
-    zero, marker = forms.behind.columns[:, :6], forms.behind.columns[:, 12:UNKNOWNS]
+    """Yield jumps in the middle of each bag."""
+    jumps = [record_of(name).jump for name in sought(observation.recording.arm)]
     for name, view in observation.views.items():
         at_s = 0.5 * float(view.scene.wrench_s[-1])
         after = (observation.rows.session_s >= view.scene.start_s + at_s).astype(float)[:, None]
-        jumps: list[tuple[Effect, Array]] = [(BiasStep(bag=name, time_s=at_s), zero)]
-        if view.tracks:
-            jumps.append((BaseShift(time_s=at_s), marker))
-        for effect, columns in jumps:
-            typical = np.concatenate([p.typicals for p in effect.fitted])
-            yield _Form(effect, behind.projected(columns * after).gram, effect.vector(), typical)
+        for jump in jumps:
+            if jump is not None and (view.tracks or not jump.tracked):
+                columns = forms.behind.columns[:, jump.unknowns] * after
+                yield plain_form(jump.effect(name, at_s)), behind.projected(columns).gram
 
 
 def _missed(
@@ -203,19 +164,22 @@ def _missed(
 ) -> Excluded:
     """Return the largest size missed, of forms with other words (axes, a joint, a bag) the largest.
 
-    Words of which no size is seen are told.
+    Words of which no size is seen are named.
     """
+    parameters = record_of(name).parameters
     largest: dict[_Words, dict[_Key, tuple[float, Any]]] = {}
-    for form in forms:
-        gram = form.gram
-        plain = _flat(told(observation, form.effect))
+    for form, gram in forms:
+        highest = form.limits()[1]
+        plain = _flat(parameters(observation, form.base))
         words = tuple((key, value) for key, value in plain.items() if isinstance(value, str))
         of_words = largest.setdefault(words, {})
         for number in range(len(gram)):
             size = _size(gram, number, form.typical[: len(gram)], name, beside, settings)
-            seen = bool(np.isfinite(size)) and form.reaches(number, size)
-            changed = form.at(number, size if seen else form.typical[number])
-            for key, value in _flat(told(observation, changed)).items():
+            seen = bool(np.isfinite(size) and form.start[number] + size <= highest[number])
+            moved = form.start.copy()
+            moved[number] += size if seen else form.typical[number]
+            changed = form.at(moved)
+            for key, value in _flat(parameters(observation, changed)).items():
                 relative = size / form.typical[number] if seen else np.inf
                 if value != plain.get(key) and relative >= of_words.get(key, (0.0, None))[0]:
                     of_words[key] = relative, float(f"{value:.3g}") if seen else None

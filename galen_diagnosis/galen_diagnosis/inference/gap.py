@@ -31,18 +31,11 @@ from typing import Any
 import numpy as np
 from galen_model.arrays import Array
 from galen_model.estimation.evidence import Background
-from galen_sim_driver.effects.effect import Effect
-from galen_sim_driver.effects.load import CableDrag
-from galen_sim_driver.effects.registry import contract_parameters
 from scipy.sparse import csc_array
 
 from galen_diagnosis.answer.answer import Interval
 from galen_diagnosis.effects.candidates import Candidate
-from galen_diagnosis.effects.general_shapes import (
-    ForceField,
-    FrictionInJoints,
-    SoftSaturation,
-)
+from galen_diagnosis.effects.registry import record_of
 from galen_diagnosis.inference.refine import Hypothesis, refine
 from galen_diagnosis.observation.observation import UNKNOWNS, Observation
 from galen_diagnosis.observation.rows import FOLDS, ResidualRows
@@ -196,14 +189,14 @@ def parameters(
     for part, values, where, effect in zip(
         hypothesis.parts, hypothesis.values, hypothesis.slices(), hypothesis.effects, strict=True
     ):
-        root = _root(spread[where, where])
+        root, named_by = _root(spread[where, where]), record_of(part.effect).parameters
         drawn = [
             part.at(values + root @ generator.standard_normal(len(values))) for _ in range(_DRAWS)
         ]
-        draws = [told(observation, one) for one in drawn]
+        draws = [named_by(observation, one) for one in drawn]
         named = {
             name: _interval(part, name, value, [draw[name] for draw in draws])
-            for name, value in told(observation, effect).items()
+            for name, value in named_by(observation, effect).items()
         }
         out.append(named)
     return out
@@ -213,24 +206,6 @@ def _root(spread: Array) -> Array:
     """Return the symmetric root, which is unique: the signs of eigenvectors are not."""
     values, vectors = np.linalg.eigh(spread)
     return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
-
-
-def told(observation: Observation, effect: Effect) -> dict[str, Any]:
-    """Return the contract's parameters; a cable's tension is the mean over the recording."""
-    if isinstance(effect, ForceField):
-        force = effect.force(*observation.sensor_poses(100))
-        return {"tension_N": float(np.mean(np.linalg.norm(force, axis=1)))}
-    if isinstance(effect, SoftSaturation):
-        return {"axis": effect.axis, "limit": effect.limit}
-    if isinstance(effect, FrictionInJoints):
-        scene = observation.views["push"].scene
-        joints = scene.joints[np.searchsorted(scene.joint_s, scene.wrench_s[scene.touched][0])]
-        tip_m, arm = np.asarray(scene.tool.tip_m), scene.arm
-        return {"residual_fraction": effect.residual_fraction(joints, tip_m, arm)}
-    named = contract_parameters(effect)
-    if isinstance(effect, CableDrag):
-        named["tension_N"] = float(np.mean(effect.tension(*observation.sensor_poses(100))))
-    return named
 
 
 def _interval(part: Candidate, name: str, value: Any, draws: list[Any]) -> Any:

@@ -17,6 +17,7 @@ from scipy.special import logsumexp
 
 from galen_diagnosis.effects.candidates import Candidate
 from galen_diagnosis.effects.forms import Forms
+from galen_diagnosis.effects.registry import record_of
 from galen_diagnosis.inference.refine import Hypothesis, nothing, refine
 from galen_diagnosis.observation.observation import Observation
 
@@ -27,18 +28,9 @@ _WORTH_MORE = 4.0
 _HOPELESS = 15.0
 _IDLE = 9.0
 _BEHIND = 0.4
-"""Part of the likeliest single effect's evidence below which no pair is grown from another one."""
-_GENERAL = ("cable_drag", "sensor_drift")
-"""Effects of many numbers that are linear: below that part they are not fitted either."""
+"""Part of the likeliest single effect's evidence below which no pair is grown from another one, and
+no general effect is fitted."""
 _SINGLES, _PAIRS_FROM, _PAIRS, _TRIPLES = 7, 3, 4, 1
-_FORMS_EACH = {
-    "backlash": 3,
-    "cable_drag": 3,
-    "deflection_hysteresis": 2,
-    "crosstalk": 2,
-    "sensor_drift": 3,
-    "sensor_saturation": 2,
-}
 
 
 @dataclass(frozen=True)
@@ -72,7 +64,7 @@ def search(observation: Observation, progress: Progress | None = None) -> Found:
     singles: list[Hypothesis] = []
     for log, candidate, start in _shortlist(judged, _SINGLES, _WORTH):
         top = max((single.log_bayes for single in singles), default=0.0)
-        if candidate.effect not in _GENERAL or log > _BEHIND * top:
+        if not record_of(candidate.effect).general or log > _BEHIND * top:
             fit = refine(observation, forms.behind, [candidate], [start], None, none.cost)
             singles.append(fit)
     say("pairs", 0.7)
@@ -107,8 +99,8 @@ def _shortlist(
     for candidate, found in ordered:
         if found.log_bayes < worth:
             break
-        number = taken.get(candidate.effect, 0)
-        if number >= _FORMS_EACH.get(candidate.effect, 1) or (number == 0 and len(taken) >= most):
+        number, most_forms = taken.get(candidate.effect, 0), record_of(candidate.effect).most_forms
+        if number >= most_forms or (number == 0 and len(taken) >= most):
             continue
         taken[candidate.effect] = number + 1
         out.append((found.log_bayes, *_begun(candidate, found.theta)))

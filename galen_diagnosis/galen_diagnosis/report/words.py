@@ -18,6 +18,7 @@ from galen_diagnosis.answer.answer import (
     FoundCause,
     Interval,
 )
+from galen_diagnosis.effects.registry import RECORDS
 from galen_diagnosis.observation.recording import DiagnosticRecording
 
 RANKING_NOTE = (
@@ -30,93 +31,7 @@ VERDICTS = {
     "ambiguous": "Several causes are possible",
     UNKNOWN: "A gap without a known cause",
 }
-TITLES = {
-    "joint_zero_offset": "zero of the {joint} joint",
-    "joint_gain": "gain of the {joint} joint",
-    "joint_axis_misalignment": "direction of the {joint} axis",
-    "base_inclination": "inclined base",
-    "sensor_mount_rotation": "turned sensor",
-    "axis_gain": "gains of the sensor's axes",
-    "crosstalk": "crosstalk in the sensor",
-    "sensor_drift": "drifting sensor",
-    "bias_step": "jump of the sensor's reading",
-    "wrench_delay": "late wrenches",
-    "sensor_saturation": "saturated sensor",
-    "tool_mass_error": "tool's mass",
-    "tool_com_error": "tool's centre of mass",
-    "loose_tool": "loose tool",
-    "cable_drag": "pulling cable",
-    "inertial_load": "inertial forces",
-    "joint_compliance": "stiffness of the arm",
-    "deflection_hysteresis": "hysteresis of the deflection",
-    "backlash": "backlash",
-    "encoder_delay": "late encoder",
-    "gear_error": "error of the gear",
-    "tracker_delay": "late tracker",
-    "tracker_scale": "tracker's scale",
-    "base_shift": "moved base marker",
-    NONE: "nothing is missing",
-    UNKNOWN: "something that is not on the list",
-}
-
-# {name} is the parameter with its interval, {name!r} a word as it is.
-SENTENCES = {
-    "joint_zero_offset": "the {joint} joint's zero is off by {offset_rad}",
-    "joint_gain": "the {joint} joint turns by {gain} more than it reports",
-    "joint_axis_misalignment": "the {joint} axis is turned by {angle_rad} about {about} of its"
-    " parent link",
-    "base_inclination": "the base is inclined, by {inclination}",
-    "sensor_mount_rotation": "the sensor is turned in its mount, by {rotvec_rad}",
-    "axis_gain": "the sensor's axes read too much, by {gain}",
-    "crosstalk": "the sensor reads {coefficient} of {from} in {to}",
-    "sensor_drift": "the sensor drifts, by {rate_per_hour}",
-    "bias_step": "the sensor's reading jumps by {step} at {time_s} of {bag}",
-    "wrench_delay": "the wrenches are {delay_s} late against the joints",
-    "sensor_saturation": "the sensor's {axis} clips at {limit}",
-    "tool_mass_error": "the tool's true mass differs from its file's by {delta_kg}",
-    "tool_com_error": "the tool's centre of mass differs from its file's by {delta_m}",
-    "loose_tool": "the tool is loose and sags by {shift_m} in its mount",
-    "cable_drag": "a cable pulls at the tool with {tension_N}",
-    "inertial_load": "inertial forces of {mass_kg} are missing in the model",
-    "joint_compliance": "the arm's stiffness is not the nominal one: {stiffness}",
-    "deflection_hysteresis": "the deflection has hysteresis and keeps {residual_fraction} of itself"
-    " when the load is gone",
-    "backlash": "the {joint} joint has a backlash of {gap_rad}",
-    "encoder_delay": "the link's stamps are {delay_s} late against the motor's",
-    "gear_error": "the gear's ratio is off by {gain}",
-    "tracker_delay": "the tracker's stamps are {delay_s} late",
-    "tracker_scale": "the tracker's positions are {gain} too large",
-    "base_shift": "the base marker's stand moves at {time_s} of push, by {translation_m} and"
-    " {rotvec_rad}",
-}
-
-REMEDIES = {
-    "joint_zero_offset": "set the {joint} joint's zero in its driver or in the robot description",
-    "joint_gain": "correct the scale of the {joint} joint's encoder in its driver",
-    "joint_axis_misalignment": "correct the {joint} axis in the robot description",
-    "base_inclination": "level the base, or correct gravity in the calibration file",
-    "sensor_mount_rotation": "correct the sensor's frame in the robot description",
-    "axis_gain": "have the sensor calibrated, or divide its readings by the gains",
-    "crosstalk": "have the sensor's decoupling matrix calibrated",
-    "sensor_drift": "let the sensor warm up, and zero it more often",
-    "bias_step": "look for a knock, an overload or a moved plug at that time; zero the sensor",
-    "wrench_delay": "take the delay off the stamps in the sensor's driver",
-    "sensor_saturation": "stay within the sensor's range, or take one of a larger range",
-    "tool_mass_error": "calibrate the tool again",
-    "tool_com_error": "calibrate the tool again",
-    "loose_tool": "tighten the tool in its mount",
-    "cable_drag": "give the cable slack, or calibrate the tool with its cable",
-    "inertial_load": "compensate with inertial forces",
-    "joint_compliance": "check the screws of what is softer; train the deflection model anew",
-    "deflection_hysteresis": "look for friction and loose screws; train a deflection model with it",
-    "backlash": "look for play in gear, coupling and screws of the {joint} joint",
-    "encoder_delay": "correct the stamps of the link's encoder",
-    "gear_error": "correct the gear's ratio",
-    "tracker_delay": "take the delay off the stamps in the tracker's driver",
-    "tracker_scale": "have the tracker calibrated",
-    "base_shift": "fasten the base marker's stand, and record the pushes again",
-}
-"""What to do about an effect that was found."""
+_NO_EFFECT = {NONE: "nothing is missing", UNKNOWN: "something that is not on the list"}
 
 _AXES = {3: ("x", "y", "z"), 6: WRENCH_AXES}
 _ROTATIONS = ("rotvec_rad",)
@@ -235,7 +150,7 @@ def cause_words(cause: FoundCause) -> str:
     if angles:
         words["inclination"] = " and ".join(angles)
     try:
-        return SENTENCES[cause.effect].format(**words, joint=cause.joint or "measured")
+        return RECORDS[cause.effect].sentence.format(**words, joint=cause.joint or "measured")
     except KeyError:  # an effect or a parameter without words
         others = ", ".join(f"{name} {text}" for name, text in words.items())
         return f"{title(cause.label)} ({others})" if others else title(cause.label)
@@ -244,7 +159,8 @@ def cause_words(cause: FoundCause) -> str:
 def title(identity: str) -> str:
     """Name an effect for people; identity: with its joint, `effect:joint`, where it has one."""
     effect, _, joint = identity.partition(":")
-    words = TITLES.get(effect, effect.replace("_", " "))
+    record = RECORDS.get(effect)
+    words = record.title if record else _NO_EFFECT.get(effect, effect.replace("_", " "))
     if "{joint}" in words:
         return words.format(joint=joint or "?")
     return f"{words} of the {joint} joint" if joint else words
@@ -278,10 +194,10 @@ _WORDS = {"about": "about", "from": "of", "to": "in", "bag": "in the middle of",
 
 def missed_words(one: Excluded) -> str:
     """Write the largest size of an effect that would have been missed, or why it isn't known."""
-    told = one.missed_below or one.missed_above
-    if told is None:
+    limits = one.missed_below or one.missed_above
+    if limits is None:
         return one.because
-    values = {name: _bare(value) for name, value in told.items()}
+    values = {name: _bare(value) for name, value in limits.items()}
     words = [f" {_WORDS[name]} {value}" for name, value in values.items() if name in _WORDS]
     sizes = []
     for name in (name for name in values if name not in _WORDS):
@@ -396,9 +312,10 @@ def next_steps(answer: Answer) -> list[str]:
         return ["Nothing. What was tested and excluded, and from which size on, is below."]
     steps = []
     for cause in answer.causes:
-        if answer.verdict == UNKNOWN or cause.probability < SURE or cause.effect not in REMEDIES:
+        record = RECORDS.get(cause.effect)
+        if answer.verdict == UNKNOWN or cause.probability < SURE or record is None:
             continue
-        step = REMEDIES[cause.effect].format(joint=cause.joint or "measured")
+        step = record.remedy.format(joint=cause.joint or "measured")
         if cause.equivalent:
             step = f"rule out {_names(cause.equivalent)}; then {step}"
         steps.append(f"{_capital(step)}.")

@@ -12,6 +12,7 @@ from galen_model.evidence.held_out import BlockEvidence, BlockHypothesis, BlockR
 from galen_model.evidence.search import SearchResult, search
 
 from galen_diagnosis.answer.answer import NONE, SURE, UNKNOWN, Answer, FoundCause, Interval, Verdict
+from galen_diagnosis.effects.registry import record_of
 from galen_diagnosis.report.words import sentence
 
 _PART = 0.5
@@ -20,7 +21,6 @@ _SEED = 0
 _PARTS = 3
 _DISTINCT = 3.3
 """Sigma: below it two hypotheses can't be distinguished."""
-_OF_TIME = {"sensor_drift", "bias_step"}
 _ABOVE_FLOOR = 1.25**2
 
 
@@ -137,7 +137,8 @@ def _in_parts(evidence: BlockEvidence, best: BlockHypothesis) -> tuple[Array, Ar
 
     A bias drift's course in a block can't be predicted from other blocks, but from its other parts.
     """
-    if not _OF_TIME & set(best.effects) or len(evidence.rows) <= len(evidence.rows.labels):
+    of_time = any(record_of(name).of_time for name in best.effects)
+    if not of_time or len(evidence.rows) <= len(evidence.rows.labels):
         return None
     finer = BlockEvidence(evidence.rows.finer(_PARTS), evidence.nominal)
     bare = finer.hypothesis((), [()], False) or finer.hypothesis((), [()], True)

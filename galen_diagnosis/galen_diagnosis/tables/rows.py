@@ -5,25 +5,13 @@ time is a row a reading; readings under the same gravity, where there are such, 
 load is fitted (mass, centre, constant part: what a calibration has) unless a file has it.
 
 Of a joint's two angles and torque, the lag is the motor's angle less the link's. Nominal is a rigid
-gear: a constant, the encoders' zeros. Beside that, with T the torque, q the motor's angle and v its
-velocity:
-
-    joint_compliance        c T, k = 1 / c
-    backlash                what plays of the motion leave, q - play_r(q); gap 2 sum u r
-    deflection_hysteresis   the part of plays of the torque beside a spring, play_r(T) - beta T; or
-                            a term by the direction of motion (dry friction before the spring)
-    wrench_delay            c dT/dt delay, c of a plain fit: the torque's stamps are late
-    encoder_delay           v delay: the link's stamps are late against the motor's
-    gear_error              gain q
-
-Plays, velocity and direction are those of `galen_model.transmission`. The last two names are not
-the contract's: an arm without encoders at both ends has neither. `residual_fraction` is the loop's
-half width over half the range of the lag, since a joint's run has no zero load after the largest.
+gear: a constant, the encoders' zeros. What effects add to it is in `effects/transmission.py`;
+plays, velocity and direction are those of `galen_model.transmission`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -38,10 +26,11 @@ from galen_model.load.identification import plain_least_squares
 from galen_model.load.model import Load, gravity_regressor
 from galen_model.play import PlayOperators
 from galen_model.rest.segments import DirectionRest, rest_by_direction
-from galen_model.transmission import TERMS, TORQUE_PLAYS, JointRun, Parts, Scales, design, noise_of
+from galen_model.transmission import TERMS, JointRun, Parts, Scales, design, noise_of
 
+from galen_diagnosis.effects.registry import RECORDS
+from galen_diagnosis.effects.table_data import JointTerms, TablePlant
 from galen_diagnosis.observation.noise import ChannelNoise, channel_noise
-from galen_diagnosis.tables.table_effects import TablePlant, table_effects
 
 _FEWEST_BLOCKS = 4
 _SAME_GRAVITY_RAD = 0.03
@@ -118,9 +107,25 @@ def prepare_table(
     )
     if not known:
         rows = replace(rows, levels=levels, memories_s=(float("inf"),))
-    known_load, by_order = tool is not None, table.time is None
-    effects = table_effects(plant, averaged, nominal, known_load=known_load, by_order=by_order)
-    return rows, effects, tuple(notes)
+    plant = replace(plant, known_load=tool is not None, by_order=table.time is None)
+    ways = {name: record.in_table(plant) for name, record in RECORDS.items()}
+    for name, record in RECORDS.items():
+        if record.needs == "motion":
+            ways[name] = "rest segments have no motion"
+    return rows, _shown(nominal, ways), tuple(notes)
+
+
+def _shown(nominal: Columns, ways: Mapping[str, Sequence[Columns] | str]) -> Effects:
+    """Return the effects that show, and sentences on those that can't; ways: or why they can't."""
+    of: dict[str, Sequence[Columns]] = {}
+    cannot: dict[str, list[str]] = {}
+    for name, found in ways.items():
+        if isinstance(found, str):
+            cannot.setdefault(found, []).append(name)
+        elif found:
+            of[name] = found
+    reasons = (f"{', '.join(names)}: {reason}" for reason, names in cannot.items())
+    return Effects(nominal, of, tuple(reasons))
 
 
 def _load_columns(gravity: Array, prior: Array) -> Columns:
@@ -147,11 +152,11 @@ def _nominal(table: OrientationTable, tool: CalibrationFile | None) -> tuple[Tab
         loads = [Load(of.mass_kg, np.asarray(of.com_m)) for of in (tool.load, tool.adapter)]
         total = loads[0].moments + loads[1].moments
         load = Load(float(total[0]), total[1:] / total[0])
-        weight = TablePlant(table.gravity, table.rotation, at_s, load, np.zeros(6)).reading()
+        weight = TablePlant(table, at_s, load, np.zeros(6)).reading()
         offset = (table.wrench - weight).mean(axis=0)
         only_constants = np.concatenate([np.zeros(4), _WIDE[4:]])
         columns = _load_columns(table.gravity, only_constants)
-    return TablePlant(table.gravity, table.rotation, at_s, load, offset), columns
+    return TablePlant(table, at_s, load, offset), columns
 
 
 def _blocks(table: OrientationTable) -> tuple[np.ndarray, tuple[str, ...]]:
@@ -225,15 +230,10 @@ def _floor_of_readings(table: OrientationTable, noise: Array | None) -> Floor | 
 # A joint's runs
 
 _MOST_ROWS = 700
-_SEVERAL = (0, 2, 4, 6)
 _GAPS = np.geomspace(0.08, 2.2, 14)
 """Thresholds of plays of the motion over half of the lag's range."""
-_DELAY_S = 0.005
-_GEAR = 0.02
 _APART_S = 1e4
 _VELOCITY_WINDOW_S = 0.1
-_SOFTEST = 1e-6
-"""Where an interval's end would be less than rigid."""
 
 
 def prepare_joint(
@@ -278,14 +278,10 @@ def prepare_joint(
         f"{len(residual)} means over {size} readings of {len(runs)} runs",
         "floor: encoders' steps and the lag's jitter",
     )
-    of = {
-        **_effects(mean(terms), mean(torque_rate), residual, scales),
-        "backlash": _backlash(mean(lost), gaps),
-    }
-    cannot: tuple[str, ...] = ()
-    if "wrench_delay" not in of:
-        cannot = ("wrench_delay: the lag doesn't grow with the torque, so when it does is open",)
-    return rows, Effects(constant, of, cannot), notes
+    column = dict(zip(TERMS, mean(terms).T, strict=True))
+    data = JointTerms(residual[:, 0], column, mean(torque_rate), mean(lost), gaps, scales)
+    ways = {name: record.in_joint_runs(data) for name, record in RECORDS.items()}
+    return rows, _shown(constant, ways), notes
 
 
 def _windows(runs: Sequence[JointRun], label: np.ndarray) -> tuple[np.ndarray, int]:
@@ -303,93 +299,7 @@ def _windows(runs: Sequence[JointRun], label: np.ndarray) -> tuple[np.ndarray, i
     return window, size
 
 
-def _effects(
-    terms: Array, torque_rate: Array, lag: Array, scales: Scales
-) -> dict[str, Sequence[Columns]]:
-    column = {name: terms[:, k] for k, name in enumerate(TERMS)}
-    half_lag = scales.lag_half_range
-    soft = half_lag / scales.torque_half_range
-
-    def stiffness(w: Array) -> Array:
-        return np.asarray(1.0 / (soft * max(w[0], _SOFTEST)))
-
-    of: dict[str, Sequence[Columns]] = {
-        "joint_compliance": [_one(soft * column["spring"], {"k": stiffness}, _positive)],
-        "deflection_hysteresis": _hysteresis(column, scales, soft),
-        "encoder_delay": [_one(_DELAY_S * column["delay"], {"delay_s": lambda w: _DELAY_S * w[0]})],
-        "gear_error": [_one(_GEAR * column["gear"], {"gain": lambda w: _GEAR * w[0]})],
-    }
-    plain = np.column_stack([column[name] for name in ("offset", "gear", "delay", "spring")])
-    give = float(np.linalg.lstsq(plain, lag[:, 0], rcond=None)[0][3])
-    if give > 0.0:
-        slope = _DELAY_S * give * torque_rate
-        of["wrench_delay"] = [_one(slope, {"delay_s": lambda w: _DELAY_S * w[0]})]
-    return of
-
-
-def _positive(weights: Array) -> bool:
-    return bool(weights[0] > 0.0)
-
-
-def _one(
-    values: Array,
-    parameters: dict[str, Callable[[Array], Array]],
-    allowed: Callable[[Array], bool] = lambda weights: True,
-) -> Columns:
-    return Columns(values[:, None, None], parameters, allowed=allowed)
-
-
 def _lost(run: JointRun, thresholds: Array) -> Array:
     """Return what each play of the motion leaves behind (n, p), rad; from amid the gap."""
     motion = np.repeat((run.motor - run.motor[0])[:, None], len(thresholds), axis=1)
     return np.asarray(motion - PlayOperators(thresholds).run(motion).output)
-
-
-def _backlash(lost: Array, thresholds: Array) -> list[Columns]:
-    """One gap, between two neighbouring thresholds, or several that close bit by bit."""
-    ways = []
-    pairs = [(k, k + 1) for k in range(len(thresholds) - 1)]
-    for chosen in (*pairs, tuple(range(0, len(thresholds), 4))):
-        some = thresholds[list(chosen)]
-
-        def gap(w: Array, some: Array = some) -> Array:
-            return np.asarray(2.0 * w @ some)
-
-        ways.append(
-            Columns(
-                lost[:, None, list(chosen)],
-                {"gap_rad": gap},
-                allowed=lambda w, gap=gap: bool(gap(w) > 0.0),  # type: ignore[misc]
-            )
-        )
-    return ways
-
-
-def _hysteresis(column: dict[str, Array], scales: Scales, soft: float) -> list[Columns]:
-    ways = [
-        _one(
-            scales.lag_half_range * column["direction"],
-            {"residual_fraction": lambda w: w[0]},
-            _positive,
-        )
-    ]
-    spring = column["spring"]
-    for chosen in (*((k,) for k in range(len(TORQUE_PLAYS))), _SEVERAL):
-        plays = np.stack([column[TORQUE_PLAYS[k]] for k in chosen], axis=1)
-        loops = soft * (plays - np.outer(spring, spring @ plays / (spring @ spring)))
-        left = np.minimum(
-            scales.torque_thresholds[list(chosen)],
-            scales.torque_half_range - scales.torque_thresholds[list(chosen)],
-        )
-
-        def fraction(w: Array, left: Array = left) -> Array:
-            return np.asarray(soft * (w @ left) / scales.lag_half_range)
-
-        ways.append(
-            Columns(
-                loops[:, None, :],
-                {"residual_fraction": fraction},
-                allowed=lambda w, fraction=fraction: bool(fraction(w) > 0.0),  # type: ignore[misc]
-            )
-        )
-    return ways

@@ -145,6 +145,18 @@ class Effect:
         """What a diagnosis distinguishes: `name`, or `name:joint` of an effect of a joint."""
         return f"{self.name}:{vars(self)['joint']}" if self.of_a_joint else self.name
 
+    # --- on an arm ----------------------------------------------------------------------------
+
+    @classmethod
+    def kind_of(cls, arm: Arm) -> type[Effect]:
+        """Return the effect as an arm has it, whose numbers may be other ones."""
+        return cls
+
+    @classmethod
+    def none_of(cls, arm: Arm) -> Iterable[Effect]:
+        """Return the effect at each place of an arm where it can be, changing nothing."""
+        return [cls.kind_of(arm)()]
+
     # --- numbers ------------------------------------------------------------------------------
 
     @property
@@ -169,6 +181,10 @@ class Effect:
             values[p.name] = float(part[0]) if p.size == 1 else tuple(float(v) for v in part)
             at += p.size
         return replace(self, **values)
+
+    def in_session(self, starts: Mapping[str, float]) -> Self:
+        """Return the effect with its time since the session's start; starts: of its bags, s."""
+        return self
 
     def fresh(self) -> Effect:
         """Return the effect at the start of a bag; effects with memory return a new object."""

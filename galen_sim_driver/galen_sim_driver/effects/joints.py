@@ -56,6 +56,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass, field, make_dataclass, replace
 from functools import lru_cache
 from typing import Any, ClassVar, NamedTuple, Self
@@ -91,6 +92,13 @@ class AtJoint(Effect):
     def of(cls, arm: Arm, joint: str) -> Self:
         """Return the effect at a joint of an arm, changing nothing."""
         return cls(joint=joint, nominal=arm)
+
+    @classmethod
+    def none_of(cls, arm: Arm) -> Iterable[Effect]:
+        joints = (
+            arm.turning_names if cls.of_a_joint else (arm.turning_names or arm.joint_names)[-1:]
+        )
+        return [cls.of(arm, joint) for joint in joints]
 
     @property
     def index(self) -> int:
@@ -183,6 +191,10 @@ class BaseInclination(Effect):
     about_y_rad: float = param(0.0, "the same about its y, after x, rad", -0.5, 0.5)
     about_z_rad: float = param(0.0, "the same about its z, after y, rad", -0.5, 0.5)
 
+    @classmethod
+    def kind_of(cls, arm: Arm) -> type[BaseInclination]:
+        return base_inclination(arm.gravity_m_s2)
+
     @property
     def angles_rad(self) -> Array:
         """About x, y and z (3,)."""
@@ -259,6 +271,10 @@ class _Compliance(Effect):
 
     name = "joint_compliance"
     springs: ClassVar[tuple[_Spring, ...]]
+
+    @classmethod
+    def kind_of(cls, arm: Arm) -> type[Effect]:
+        return compliance(arm)
 
     def _given(self) -> list[float]:
         return [getattr(self, stiffness_field(spring.name)) for spring in self.springs]

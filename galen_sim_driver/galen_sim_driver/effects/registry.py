@@ -9,46 +9,18 @@ from typing import Any
 from galen_common.parameters import ParameterError, checked, param_fields
 from galen_model.arm.arm import Arm
 
+from galen_sim_driver.effects import hysteresis, joints, load, sensor
 from galen_sim_driver.effects.effect import ConfigError, Effect
-from galen_sim_driver.effects.hysteresis import DeflectionHysteresis
-from galen_sim_driver.effects.joints import (
-    AtJoint,
-    Backlash,
-    BaseInclination,
-    JointAxisMisalignment,
-    JointCompliance,
-    JointGain,
-    JointZeroOffset,
-    base_inclination,
-    compliance,
-)
-from galen_sim_driver.effects.load import (
-    CableDrag,
-    InertialLoad,
-    LooseTool,
-    ToolComError,
-    ToolMassError,
-)
-from galen_sim_driver.effects.sensor import (
-    AxisGain,
-    BaseShift,
-    BiasStep,
-    Crosstalk,
-    SensorDrift,
-    SensorMountRotation,
-    SensorSaturation,
-    TrackerDelay,
-    TrackerScale,
-    WrenchDelay,
-)
 
 EFFECTS: dict[str, type[Effect]] = {
     effect.name: effect
     for effect in (
-        *(JointZeroOffset, JointGain, JointAxisMisalignment, BaseInclination),
-        *(SensorMountRotation, AxisGain, Crosstalk, SensorDrift, BiasStep, WrenchDelay),
-        *(SensorSaturation, ToolMassError, ToolComError, LooseTool, CableDrag, InertialLoad),
-        *(JointCompliance, DeflectionHysteresis, Backlash, TrackerDelay, TrackerScale, BaseShift),
+        *(joints.JointZeroOffset, joints.JointGain, joints.JointAxisMisalignment),
+        *(joints.BaseInclination, sensor.SensorMountRotation, sensor.AxisGain, sensor.Crosstalk),
+        *(sensor.SensorDrift, sensor.BiasStep, sensor.WrenchDelay, sensor.SensorSaturation),
+        *(load.ToolMassError, load.ToolComError, load.LooseTool, load.CableDrag),
+        *(load.InertialLoad, joints.JointCompliance, hysteresis.DeflectionHysteresis),
+        *(joints.Backlash, sensor.TrackerDelay, sensor.TrackerScale, sensor.BaseShift),
     )
 }
 """Those of the contract's section 6, in its order; the compliance is that of the Galen."""
@@ -59,22 +31,8 @@ def identities(arm: Arm) -> dict[str, Effect]:
 
     Those of a joint are there for each revolute joint.
     """
-    found: list[Effect] = []
-    for name in EFFECTS:
-        kind = _kind(name, arm)
-        if not issubclass(kind, AtJoint):
-            found.append(kind())
-        elif kind.of_a_joint:
-            found += [kind.of(arm, joint) for joint in arm.turning_names]
-        else:
-            found.append(kind.of(arm, (arm.turning_names or arm.joint_names)[-1]))
+    found = (effect for kind in EFFECTS.values() for effect in kind.none_of(arm))
     return {effect.identity: effect for effect in found}
-
-
-def _kind(name: str, arm: Arm) -> type[Effect]:
-    if name == "base_inclination":
-        return base_inclination(arm.gravity_m_s2)
-    return compliance(arm) if name == "joint_compliance" else EFFECTS[name]
 
 
 _FORMER_NAMES: Mapping[str, Mapping[str, str]] = {
@@ -88,7 +46,7 @@ _FORMER_STIFFNESSES = {f"k_{spring}": spring for spring in ("roll", "tilt", "car
 
 def contract_form(name: str, parameters: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
     """Rename an effect of recordings made before effects had joints; leave others as they are."""
-    if name == "joint_compliance" and parameters.keys() & _FORMER_STIFFNESSES.keys():
+    if name == joints.JointCompliance.name and parameters.keys() & _FORMER_STIFFNESSES.keys():
         others = {key: v for key, v in parameters.items() if key not in _FORMER_STIFFNESSES}
         springs = {_FORMER_STIFFNESSES[key]: parameters[key] for key in parameters.keys() - others}
         return name, {**others, "stiffness": springs}
@@ -131,7 +89,7 @@ def effect_from(name: str, parameters: Mapping[str, Any], arm: Arm) -> Effect:
     name, parameters = contract_form(name, parameters)
     if name not in EFFECTS:
         raise ConfigError(f"no effect '{name}'; known: {', '.join(EFFECTS)}")
-    kind = _kind(name, arm)
+    kind = EFFECTS[name].kind_of(arm)
     own = param_fields(kind)
     names = {key: field for field, key in kind.contract_names.items()}
     values = {}
@@ -152,7 +110,7 @@ def effect_from(name: str, parameters: Mapping[str, Any], arm: Arm) -> Effect:
                 f"{name}: {key} has {len(values[field])} numbers, but must have {wanted}"
             )
     effect = kind(**values)
-    if isinstance(effect, AtJoint):
+    if isinstance(effect, joints.AtJoint):
         effect = replace(effect, nominal=arm)
     effect.validate()
     return effect

@@ -23,7 +23,7 @@ the axes of base_link, once during `push`, and stays there; arm and tracker stay
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import ClassVar, Self
 
@@ -154,6 +154,11 @@ class BiasStep(_Additive):
     def validate(self) -> None:
         if self.bag:
             check_choice(self.name, "bag", self.bag, BAG_ORDER)
+
+    def in_session(self, starts: Mapping[str, float]) -> Self:
+        if not self.bag:
+            return self
+        return replace(self, bag="", time_s=self.time_s + starts[self.bag])
 
     def _at(self, when: Instants) -> Array:
         if not self.bag:
@@ -331,6 +336,9 @@ class BaseShift(Effect):
         (0.0,) * 3, "how it turns about itself, a rotation vector along base_link, rad", -1.5, 1.5
     )
     time_s: float = param(0.0, "when it moves, since the first stamp of push, s", minimum=0.0)
+
+    def in_session(self, starts: Mapping[str, float]) -> Self:
+        return replace(self, time_s=self.time_s + starts[_BAG])
 
     def base_marker(self, when: Instants) -> Array | None:
         if when.bag not in ("", _BAG):

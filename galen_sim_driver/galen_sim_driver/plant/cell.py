@@ -250,7 +250,7 @@ class Plant:
 
         encoded = self._encode(joints)
         oldest, window_s = self._encoded[0], self._window_s
-        told_velocities = [(a - b) / window_s for a, b in zip(encoded, oldest, strict=True)]
+        reported_velocities = [(a - b) / window_s for a, b in zip(encoded, oldest, strict=True)]
         self._encoded.append(encoded)
 
         tracked = None
@@ -263,7 +263,7 @@ class Plant:
             true.copy(),
             velocities.copy(),
             encoded,
-            told_velocities,
+            reported_velocities,
             reading,
             tracked,
         )

@@ -1,0 +1,177 @@
+"""Effects of the joints' kinematics and of the base.
+
+A robot description holds a joint's zero and its axis. With R the rotation of a joint's frame in its
+parent and e its axis in that frame, what the arm does beside its description goes into it as
+
+    true angle = reported + z:           R <- R exp(z e)
+    axis turned by A in the parent:      e <- R^T A R e
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import replace
+from xml.etree import ElementTree
+
+import numpy as np
+from galen_model.arm.arm import Arm
+from galen_model.arm.galen import GALEN
+from galen_model.arrays import Array
+from galen_model.errors import IdentificationError
+from galen_model.evidence.held_out import Columns
+from galen_model.load.identification import identify_single_load
+from galen_model.load.mounting import inclination, inclination_axes
+from galen_model.rotation import about
+from galen_sim_driver.effects import joints as simulated
+from scipy.spatial.transform import Rotation
+
+from galen_diagnosis.effects.candidates import Candidate, plain_form
+from galen_diagnosis.effects.diagnosed_effect import DiagnosedEffect, FileParts
+from galen_diagnosis.effects.table_data import STEP, TablePlant, numbers_of
+from galen_diagnosis.observation.observation import Observation
+from galen_diagnosis.observation.recording import DiagnosticRecording
+
+_ANGLE = 0.1e-3
+"""A level and a dial gauge set a joint's zero and the base to 0.1 ... 0.2 mrad."""
+_ALONG = 0.9
+"""Cosine between two axes from which on they are taken for one."""
+_INCLINATIONS_RAD = (0.01, 0.1)
+"""Usual sizes: of a base that is meant to be level, and of a mount that isn't known."""
+
+
+def _zero_in_description(
+    effect: simulated.JointZeroOffset, true: Arm, joints: Mapping[str, ElementTree.Element]
+) -> None:
+    origin = _part(joints[effect.joint], "origin")
+    before = [float(part) for part in origin.get("rpy", "0 0 0").split()]
+    turned = about(true.joints[effect.index].axis, effect.offset_rad)
+    origin.set("rpy", _text(_angles(Rotation.from_euler("xyz", before).as_matrix() @ turned)))
+
+
+def _part(joint: ElementTree.Element, name: str) -> ElementTree.Element:
+    found = joint.find(name)
+    return ElementTree.SubElement(joint, name) if found is None else found
+
+
+def _angles(rotation: Array) -> Array:
+    """Roll, pitch and yaw (3,) about fixed axes, as descriptions write a rotation (3, 3)."""
+    return np.asarray(Rotation.from_matrix(rotation).as_euler("xyz"))
+
+
+def _text(vector: Array) -> str:
+    return " ".join(repr(float(value)) for value in vector)
+
+
+JOINT_ZERO_OFFSET = DiagnosedEffect(
+    name=simulated.JointZeroOffset.name,
+    title="zero of the {joint} joint",
+    sentence="the {joint} joint's zero is off by {offset_rad}",
+    remedy="set the {joint} joint's zero in its driver or in the robot description",
+    tolerance=_ANGLE,
+    in_description=_zero_in_description,
+)
+
+JOINT_GAIN = DiagnosedEffect(
+    name=simulated.JointGain.name,
+    title="gain of the {joint} joint",
+    sentence="the {joint} joint turns by {gain} more than it reports",
+    remedy="correct the scale of the {joint} joint's encoder in its driver",
+    not_on_galen=("roll",),
+    tolerance=0.1e-3,  # an encoder's scale over its travel
+    advice=lambda effect, _: (
+        f"no robot description holds the gain of {effect.joint}: have the driver report"
+        f" {1.0 + effect.gain:.6f} times its angle"
+    ),
+)
+
+
+def _misalignments(
+    observation: Observation, effect: simulated.JointAxisMisalignment
+) -> Iterator[Candidate]:
+    """Yield a turn about each axis of the parent link; about the joint's own it is no turn."""
+    arm = observation.recording.arm
+    if arm.joint_names == GALEN.joint_names:  # its tilt axis turned about x is the roll's zero
+        yield plain_form(effect)
+        return
+    joint = arm.joints[effect.index]
+    axis = joint.axis if joint.rotation is None else joint.rotation @ joint.axis
+    for turned, along in zip("xyz", np.abs(axis), strict=True):
+        if along < _ALONG:
+            yield plain_form(replace(effect, about=turned), turned)
+
+
+def _axis_in_description(
+    effect: simulated.JointAxisMisalignment, true: Arm, joints: Mapping[str, ElementTree.Element]
+) -> None:
+    _part(joints[effect.joint], "axis").set("xyz", _text(true.joints[effect.index].axis))
+
+
+JOINT_AXIS_MISALIGNMENT = DiagnosedEffect(
+    name=simulated.JointAxisMisalignment.name,
+    title="direction of the {joint} axis",
+    sentence="the {joint} axis is turned by {angle_rad} about {about} of its parent link",
+    remedy="correct the {joint} axis in the robot description",
+    not_on_galen=("roll",),
+    tolerance=_ANGLE,
+    forms=_misalignments,
+    known="firm",
+    in_description=_axis_in_description,
+)
+
+
+def _inclinations(plant: TablePlant) -> list[Columns] | str:
+    """Return the columns of each usual size, exact at the load and angles that fit together.
+
+    A load that was fitted under a wrong direction of gravity is a wrong one.
+    """
+    table = plant.table
+    if table.rotation is None:
+        return "the table has gravity alone, not the rotation"
+    gravity = table.arm.gravity_m_s2
+    level, angles = simulated.base_inclination(gravity)(), np.zeros(2)
+    if not plant.known_load:
+        with suppress(IdentificationError):
+            found = identify_single_load(
+                table.gravity, table.wrench, [level.name], table.rotation, arm=table.arm
+            )
+            axes = ["xyz".index(axis) for axis in inclination_axes(gravity)]
+            assert found.mounting is not None
+            angles = found.mounting.base_inclination_rad[axes]
+            plant = replace(plant, load=found.load.load)
+    whole = plant.change(level.with_vector(angles))
+    moved = [plant.change(level.with_vector(angles + step)) for step in STEP * np.eye(2)]
+    slope = (np.stack(moved, axis=2) - whole[:, :, None]) / STEP
+    if np.any(angles):
+        slope += np.multiply.outer(whole - slope @ angles, angles / (angles @ angles))
+    return [
+        Columns(usual * slope, numbers_of(level, np.full(2, usual))) for usual in _INCLINATIONS_RAD
+    ]
+
+
+def _inclined_further(effect: simulated.BaseInclination, file: FileParts, variances: Array) -> None:
+    # Of two turns the sum: what they don't commute by is of second order.
+    inclined = file.mounting.base_inclination_rad + effect.angles_rad
+    at = [9 + "xyz".index(axis) for axis in inclination_axes(file.arm.gravity_m_s2)]
+    mounting = replace(file.mounting, base_inclination_rad=inclined)
+    file.remount(effect.name, at, variances, mounting)
+
+
+def _level_frame(effect: simulated.BaseInclination, recording: DiagnosticRecording) -> str:
+    turn = " ".join(f"{angle:.6f}" for angle in _angles(inclination(effect.angles_rad).T))
+    return (
+        "inclined base: programs that take gravity from a robot description need a level"
+        f' frame below {recording.arm.base_frame}, joined with rpy="{turn}"'
+    )
+
+
+BASE_INCLINATION = DiagnosedEffect(
+    name=simulated.BaseInclination.name,
+    title="inclined base",
+    sentence="the base is inclined, by {inclination}",
+    remedy="level the base, or correct gravity in the calibration file",
+    tolerance=(_ANGLE,) * 2,
+    in_table=_inclinations,
+    in_file=_inclined_further,
+    advice=_level_frame,
+)

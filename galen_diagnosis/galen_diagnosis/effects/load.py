@@ -1,0 +1,181 @@
+"""Effects of the load on the sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from galen_model.arrays import Array
+from galen_model.evidence.held_out import Columns
+from galen_model.files.calibration_file import CalibrationFile
+from galen_model.rotation import skew
+from galen_sim_driver.effects import load as simulated
+from galen_sim_driver.effects.registry import contract_parameters
+
+from galen_diagnosis.effects.candidates import Candidate, floats, plain_form
+from galen_diagnosis.effects.diagnosed_effect import DiagnosedEffect, FileParts
+from galen_diagnosis.effects.general_shapes import ForceField
+from galen_diagnosis.effects.table_data import LEVER_M, TablePlant, by_simulator
+from galen_diagnosis.observation.observation import Observation
+
+_MASS_KG, _COM_M = 0.1e-3, 0.1e-3
+"""What a tool's file may be off at most and still be right, however unsure it says it is itself."""
+_LEAST = 1e-6
+
+
+def _mass_added(effect: simulated.ToolMassError, file: FileParts, variances: Array) -> None:
+    file.mass_kg += effect.delta_kg
+    file.covariance[0, 0] += variances[0]
+
+
+TOOL_MASS_ERROR = DiagnosedEffect(
+    name=simulated.ToolMassError.name,
+    title="tool's mass",
+    sentence="the tool's true mass differs from its file's by {delta_kg}",
+    remedy="calibrate the tool again",
+    tolerance=lambda tool: max(min(float(tool.load.mass_std_kg), _MASS_KG), _LEAST),
+    of_the_tool=True,
+    in_table=by_simulator(simulated.ToolMassError(), of_the_load=True),
+    in_file=_mass_added,
+)
+
+
+def _com_tolerance(tool: CalibrationFile) -> tuple[float, ...]:
+    return tuple(max(float(min(std, _COM_M)), _LEAST) for std in tool.load.com_std_m)
+
+
+def _centre_moved(effect: simulated.ToolComError, file: FileParts, variances: Array) -> None:
+    file.com_m += effect.delta_m
+    file.covariance[[1, 2, 3], [1, 2, 3]] += variances
+
+
+TOOL_COM_ERROR = DiagnosedEffect(
+    name=simulated.ToolComError.name,
+    title="tool's centre of mass",
+    sentence="the tool's centre of mass differs from its file's by {delta_m}",
+    remedy="calibrate the tool again",
+    tolerance=_com_tolerance,
+    of_the_tool=True,
+    in_table=by_simulator(simulated.ToolComError(), of_the_load=True),
+    in_file=_centre_moved,
+)
+
+LOOSE_TOOL = DiagnosedEffect(
+    name=simulated.LooseTool.name,
+    title="loose tool",
+    sentence="the tool is loose and sags by {shift_m} in its mount",
+    remedy="tighten the tool in its mount",
+    tolerance=0.01e-3,  # a tool seated in its mount
+    known="rough",
+    swings=True,
+    of_the_tool=True,
+    in_table=by_simulator(simulated.LooseTool()),
+)
+
+INERTIAL_LOAD = DiagnosedEffect(
+    name=simulated.InertialLoad.name,
+    title="inertial forces",
+    sentence="inertial forces of {mass_kg} are missing in the model",
+    remedy="compensate with inertial forces",
+    needs="motion",
+    known="firm",
+    advice=lambda _, recording: (
+        None
+        if recording.inertial_forces
+        else "inertial forces: subtract them with gravcomp_node's parameter motion, and diagnose"
+        " with --inertial-forces"
+    ),
+)
+
+# Cable
+
+_REACH_M = 0.7
+"""How far from the tool a cable's other end is taken to be where its fit begins."""
+_TABLE_N = 0.3
+_FEWEST_YAWS = 3
+
+
+def _cables(observation: Observation, effect: simulated.CableDrag) -> Iterator[Candidate]:
+    """Yield fields of forces, as of a hose or a hanging cable, and a taut cable.
+
+    How likely a taut cable is linearly, and where its fit begins, follow from the field.
+    """
+    rotation, origin = observation.sensor_poses(2000)
+    at = np.mean(origin + rotation @ np.asarray(effect.attachment_m), axis=0)
+    none = ForceField(attachment_m=effect.attachment_m, at_m=floats(at))
+    field_ = plain_form(none, "field", np.array([*range(9), *range(19, 22)]), effect.name)
+    curved = plain_form(none, "curved field", name=effect.name)
+    yield replace(field_, linear=9, model="elastic force, linear in the tool's place", wider=True)
+    yield replace(
+        curved, linear=19, model="elastic force, quadratic in the tool's place", wider=True
+    )
+
+    def cable(values: Array) -> tuple[Candidate, Array]:
+        pull = values[:3]
+        tension = float(np.linalg.norm(pull))
+        anchor = at + _REACH_M * pull / max(tension, 1e-9)
+        here = replace(effect, tension_n=0.0, anchor_m=floats(anchor), reference_m=floats(at))
+        fitted = plain_form(here, "taut")
+        probe = np.array([0.05, *[0.02] * 3, *[0.005] * 3, 0.1, 1e-3])
+        typical = np.array([0.3, *[0.4] * 3, *[0.06] * 3, 2.0, 0.01])
+        begin = fitted.start.copy()
+        begin[0] = tension
+        return replace(fitted, probe=probe, typical=typical, model="taut cable"), begin
+
+    yield replace(field_, label="taut", linear=9, into=cable)
+
+
+def _cable_parameters(
+    observation: Observation, effect: simulated.CableDrag | ForceField
+) -> dict[str, Any]:
+    """Return the contract's parameters; the tension is the mean over the recording."""
+    poses = observation.sensor_poses(100)
+    if isinstance(effect, ForceField):
+        tension = np.linalg.norm(effect.force(*poses), axis=1)
+        return {"tension_N": float(np.mean(tension))}
+    return {**contract_parameters(effect), "tension_N": float(np.mean(effect.tension(*poses)))}
+
+
+def _cable_in_table(plant: TablePlant) -> list[Columns] | str:
+    """Return the columns of a constant force F along the base's axes at a point r of the tool.
+
+    R^T F and r x R^T F. A pull along gravity weighs as mass does: the tension is the level part.
+    """
+    rotation = plant.table.rotation
+    if rotation is None:
+        return "the table has gravity alone, not the rotation"
+    if _yaws(rotation) < _FEWEST_YAWS:
+        return "the sensor hardly turns about gravity, a level pull is a bias"
+    back = np.swapaxes(rotation, 1, 2)
+    values = np.zeros((len(back), 6, 12))
+    values[:, :3, :3] = _TABLE_N * back
+    # r x R^T F is linear in the nine products r_i F_j
+    for i, cross in enumerate(skew(np.eye(3))):
+        values[:, 3:, 3 + 3 * i : 6 + 3 * i] = _TABLE_N * LEVER_M * (cross @ back)
+    tension = {"tension_N": lambda w: np.asarray(_TABLE_N * np.linalg.norm(w[:2]))}
+    return [Columns(values, tension)]
+
+
+def _yaws(rotation: Array) -> float:
+    """How much of a level force in the base is no constant in the sensor: rank beside gravity."""
+    level = np.swapaxes(rotation, 1, 2)[:, :, :2].reshape(len(rotation), 6)
+    about = level - level.mean(axis=0)
+    sizes = np.linalg.svd(about, compute_uv=False) / np.sqrt(len(rotation))
+    return float(np.sum(sizes > 0.1))
+
+
+CABLE_DRAG = DiagnosedEffect(
+    name=simulated.CableDrag.name,
+    title="pulling cable",
+    sentence="a cable pulls at the tool with {tension_N}",
+    remedy="give the cable slack, or calibrate the tool with its cable",
+    forms=_cables,
+    most_forms=3,
+    general=True,
+    parameters=_cable_parameters,
+    known="loose",
+    of_the_tool=True,
+    in_table=_cable_in_table,
+)

@@ -1,0 +1,316 @@
+"""Effects of the sensor.
+
+What is added to a reading, b(t), changes the rows by the sensor's zero's columns O_k times b_k(t)
+(where the tool is pushed, the tip's too: the excess of the reading wasn't applied). So crosstalk,
+drift and steps need no simulation of their own,
+
+    crosstalk: O_to f_from(t),    drift: O_k phi(t),    step: O_k [t >= t_0].
+
+A clipped axis shows as a pile of readings at its limit, of one size to the last bit where the noise
+is clipped as well. What it should have read is predicted where the tool isn't touched. During a
+push the load beyond the limit is not in the reading but in the deflection: an unknown input, which
+each clipped push has in the form
+
+    a_1 sin(pi u) + a_2 sin(3 pi u),   u from 0 to 1 over the time at the limit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+from itertools import permutations
+from typing import Any
+
+import numpy as np
+from galen_model.arm.galen import WRENCH_AXES
+from galen_model.arrays import Array
+from galen_model.evidence.held_out import Columns
+from galen_model.rotation import matrix_to_rotvec, rotvec_to_matrix
+from galen_sim_driver.effects import sensor as simulated
+from galen_sim_driver.effects.effect import Effect
+from galen_sim_driver.effects.registry import contract_parameters
+from galen_sim_driver.replay import Replay
+
+from galen_diagnosis.effects.candidates import Candidate, linear_form, plain_form
+from galen_diagnosis.effects.diagnosed_effect import DiagnosedEffect, FileParts, no_forms
+from galen_diagnosis.effects.general_shapes import SoftSaturation
+from galen_diagnosis.effects.table_data import DELAY_S, JointTerms, TablePlant, by_simulator, in_lag
+from galen_diagnosis.observation.observation import Observation
+from galen_diagnosis.observation.rows import BAGS
+
+
+def _turned_further(
+    effect: simulated.SensorMountRotation, file: FileParts, variances: Array
+) -> None:
+    before = rotvec_to_matrix(file.mounting.sensor_rotvec_rad)
+    turn = matrix_to_rotvec(before @ rotvec_to_matrix(effect.rotvec_rad))
+    mounting = replace(file.mounting, sensor_rotvec_rad=turn)
+    file.remount("sensor_rotation", range(3), variances, mounting)
+
+
+SENSOR_MOUNT_ROTATION = DiagnosedEffect(
+    name=simulated.SensorMountRotation.name,
+    title="turned sensor",
+    sentence="the sensor is turned in its mount, by {rotvec_rad}",
+    remedy="correct the sensor's frame in the robot description",
+    tolerance=(0.1e-3,) * 3,  # as of joints' zeros
+    in_table=by_simulator(simulated.SensorMountRotation()),
+    in_file=_turned_further,
+)
+
+
+def _gains_on_gains(effect: simulated.AxisGain, file: FileParts, variances: Array) -> None:
+    gain = (1.0 + file.mounting.axis_gain) * (1.0 + np.array(effect.gain)) - 1.0
+    file.remount(effect.name, range(3, 9), variances, replace(file.mounting, axis_gain=gain))
+
+
+AXIS_GAIN = DiagnosedEffect(
+    name=simulated.AxisGain.name,
+    title="gains of the sensor's axes",
+    sentence="the sensor's axes read too much, by {gain}",
+    remedy="have the sensor calibrated, or divide its readings by the gains",
+    # The rest of a sensor's gains after its maker's matrix and an adjustment on the arm.
+    tolerance=(0.3e-3,) * 6,
+    in_table=by_simulator(simulated.AxisGain()),
+    in_file=_gains_on_gains,
+)
+
+
+def crosstalks() -> list[tuple[str, str, simulated.Crosstalk]]:
+    """Return all pairs of axes: from, to, effect."""
+    return [
+        (a, b, simulated.Crosstalk(from_axis=a, to_axis=b)) for a, b in permutations(WRENCH_AXES, 2)
+    ]
+
+
+def crosstalk_candidate(effect: simulated.Crosstalk) -> Candidate:
+    """Return the form of one pair; coefficients between force and torque have a metre in them."""
+    metre = 0.1
+    size = 0.03
+    if (effect.from_axis[0] == "f") != (effect.to_axis[0] == "f"):
+        size = size * metre if effect.to_axis[0] == "t" else size / metre
+    label = f"{effect.from_axis} to {effect.to_axis}"
+    one = plain_form(effect, label)
+    return replace(one, typical=np.array([size]), probe=np.array([0.1 * size]))
+
+
+def crosstalk_candidates(observation: Observation, zero: Array) -> list[Candidate]:
+    """Return all pairs; zero (N, 6): columns of the sensor's zero."""
+    reading = _readings_at_rows(observation)
+    found = []
+    for from_axis, to_axis, effect in crosstalks():
+        column = zero[:, WRENCH_AXES.index(to_axis)] * reading[:, WRENCH_AXES.index(from_axis)]
+        found.append(replace(crosstalk_candidate(effect), columns=column[:, None]))
+    return found
+
+
+def _readings_at_rows(observation: Observation) -> Array:
+    """Return the reading (N, 6) at each row's time, where untouched the predicted one."""
+    rows = observation.rows
+    out = np.zeros((len(rows), 6))
+    for name, view in observation.views.items():
+        scene = view.scene
+        reading = np.where(scene.touched[:, None], scene.reading, Replay(scene).reading())
+        here = rows.bag == BAGS.index(name)
+        at_s = rows.bag_s[here]
+        out[here] = np.stack([np.interp(at_s, scene.wrench_s, axis) for axis in reading.T], axis=1)
+    return out
+
+
+CROSSTALK = DiagnosedEffect(
+    name=simulated.Crosstalk.name,
+    title="crosstalk in the sensor",
+    sentence="the sensor reads {coefficient} of {from} in {to}",
+    remedy="have the sensor's decoupling matrix calibrated",
+    forms=no_forms,
+    columns=crosstalk_candidates,
+    most_forms=2,
+    in_table=lambda plant: [
+        plant.columns(effect, {"from": a, "to": b}) for a, b, effect in crosstalks()
+    ],
+)
+
+
+def _late_torque(terms: JointTerms) -> list[Columns] | str:
+    """Return c dT/dt delay, c of a plain fit: the torque's stamps are late."""
+    plain = np.column_stack([terms.column[n] for n in ("offset", "gear", "delay", "spring")])
+    give = float(np.linalg.lstsq(plain, terms.lag, rcond=None)[0][3])
+    if not give > 0.0:
+        return "the lag doesn't grow with the torque, so when it does is open"
+    slope = DELAY_S * give * terms.torque_rate
+    return [in_lag(slope, "delay_s", lambda w: DELAY_S * w[0])]
+
+
+WRENCH_DELAY = DiagnosedEffect(
+    name=simulated.WrenchDelay.name,
+    title="late wrenches",
+    sentence="the wrenches are {delay_s} late against the joints",
+    remedy="take the delay off the stamps in the sensor's driver",
+    needs="motion",
+    # Samples are stamped when they are read: within a fraction of a period of 2 to 10 ms.
+    tolerance=0.3e-3,
+    known="firm",
+    by_second=True,
+    in_joint_runs=_late_torque,
+)
+
+# Limits
+
+_SATURATION = simulated.SensorSaturation.name
+_PINNED, _NEXT = 6, 5
+_PILE, _PILE_OVER = 25, 5.0
+_LOWEST_PART = 0.4
+_SAME = 1e-7
+_NEAR_SIGMAS = 2.5
+_LEAST_RUN_S = 0.08
+_BEYOND = (2.0, 2.0, 2.0, 0.1, 0.1, 0.1)
+_WORTH_EACH, _WORTH_MOST = 0.5, 40.0
+_POWER, _FAR, _SHORT = 20.0, 1.5, np.array([0.02])
+_TABLE_SHARES = (0.97, 0.9, 0.75)
+
+
+def saturation_candidates(observation: Observation, zero: Array) -> list[Candidate]:
+    """Return limits that readings pile up at; zero (N, 6): columns of the sensor's zero."""
+    found = []
+    for axis, name in enumerate(WRENCH_AXES):
+        readings = np.concatenate(
+            [bag.wrenches[:, axis] for bag in observation.recording.bags.values()]
+        )
+        noise = max(one[axis].std for one in observation.noise.values())
+        for limit, bonus in _piles(np.abs(readings), noise):
+            beyond = _beyond(observation, zero, axis, limit, noise)
+            typical = np.full(beyond.shape[1], _BEYOND[axis])
+            effect = simulated.SensorSaturation(limit=limit, axis=name)
+            one = linear_form(effect, f"{name} {limit:.4g}", beyond, typical)
+            # Where readings pile up is known to the noise of one of them.
+            known = {"limit": (limit - noise, limit + noise)}
+            make = partial(_same, effect)
+            one = replace(one, make=make, inputs=True, known=known, bonus=bonus)
+            found.append(replace(one, model="hard limit"))
+    return found
+
+
+def bent_candidates(observation: Observation, zero: Array) -> list[Candidate]:
+    """Return limits that axes bend towards, softly; zero (N, 6): columns of the sensor's zero.
+
+    Far below its limit L a reading falls short by x |x / L|^p / p.
+    """
+    true = _readings_at_rows(observation)
+    found = []
+    for axis, name in enumerate(WRENCH_AXES):
+        largest = float(np.max(np.abs(true[:, axis])))
+        short = -true[:, axis] * (np.abs(true[:, axis]) / largest) ** _POWER
+        none = SoftSaturation(float(np.log(_FAR * largest)), float(np.log(_POWER)), name)
+        label, columns = f"{name} softly", zero[:, [axis]] * short[:, None]
+        fitted = plain_form(none, label, name=_SATURATION)
+        fitted = replace(fitted, probe=np.array([0.01, 0.05]), model="soft limit")
+
+        def begun(values: Array, fitted: Candidate = fitted) -> tuple[Candidate, Array]:
+            share = min(max(_POWER * float(values[0]), 1e-3), 1e3)
+            return fitted, fitted.start - np.array([np.log(_FAR) + np.log(share) / _POWER, 0.0])
+
+        one = linear_form(none, label, columns, _SHORT, _SATURATION)
+        found.append(replace(one, into=begun))
+    return found
+
+
+def _same(effect: Effect, _loads: Array) -> Effect:
+    return effect
+
+
+def _piles(sizes: Array, noise: float) -> list[tuple[float, float]]:
+    """Limits (value, log evidence of the pile) of an axis from its readings' sizes (n,)."""
+    top = float(sizes.max())
+    if top <= 4.0 * noise:
+        return []
+    at_top = sizes >= top - _SAME * max(top, 1.0)
+    pinned = int(np.sum(at_top))
+    # Coarse steps repeat every value, a limit only its own.
+    _, repeats = np.unique(sizes[~at_top], return_counts=True)
+    usual = float(np.median(repeats[-_NEXT:])) if len(repeats) else 0.0
+    if pinned >= _PINNED and pinned > 2.0 * usual:
+        return [(top, min(_WORTH_EACH * pinned, _WORTH_MOST))]
+    width = 2.0 * noise
+    edges = np.arange(_LOWEST_PART * top, top + width, width)
+    if len(edges) < 12:
+        return []
+    counts, _ = np.histogram(sizes, edges)
+    # A limit has nothing above it, but for noise.
+    last = len(counts) - 1
+    for bin_ in range(last, max(last - 4, 6), -1):
+        before = float(np.mean(counts[bin_ - 6 : bin_ - 2]))
+        if counts[bin_] >= _PILE and counts[bin_] > _PILE_OVER * max(before, 1.0):
+            inside = np.abs(sizes - edges[bin_]) < width
+            return [(float(np.mean(sizes[inside])), 0.0)]
+    return []
+
+
+def _beyond(observation: Observation, zero: Array, axis: int, limit: float, noise: float) -> Array:
+    """Columns (N, p): two for each push that the axis clips."""
+    columns = []
+    for name, view in observation.views.items():
+        if not view.tracks:
+            continue
+        bag = observation.recording.bags[name]
+        # Columns of the zero tell what a reading's excess takes from the tip: loads add it.
+        here = np.where(observation.rows.bag == BAGS.index(name), -zero[:, axis], 0.0)
+        wrench_rows = observation.rows.channel < len(WRENCH_AXES)
+        here[wrench_rows] = 0.0
+        at_limit = np.abs(bag.wrenches[:, axis]) >= limit - _NEAR_SIGMAS * noise
+        for start, end in _runs(bag.wrench_s, at_limit):
+            sign = np.sign(np.interp(0.5 * (start + end), bag.wrench_s, bag.wrenches[:, axis]))
+            u = (observation.rows.bag_s - start) / (end - start)
+            inside = (u > 0.0) & (u < 1.0) & (here != 0.0)
+            if inside.any():
+                for order in (1, 3):
+                    shape = np.where(inside, np.sin(order * np.pi * u), 0.0)
+                    columns.append(sign * here * shape)
+    if not columns:
+        return np.zeros((len(observation.rows), 0))
+    return np.stack(columns, axis=1)
+
+
+def _runs(at_s: Array, on: np.ndarray) -> list[tuple[float, float]]:
+    """Return times from to in which `on` holds, short gaps of noise closed."""
+    times = at_s[on]
+    if not len(times):
+        return []
+    cuts = np.flatnonzero(np.diff(times) > _LEAST_RUN_S) + 1
+    return [
+        (float(run[0]), float(run[-1]))
+        for run in np.split(times, cuts)
+        if run[-1] - run[0] >= _LEAST_RUN_S
+    ]
+
+
+def _saturation_parameters(_: Observation, effect: Effect) -> dict[str, Any]:
+    if isinstance(effect, SoftSaturation):
+        return {"axis": effect.axis, "limit": effect.limit}
+    return contract_parameters(effect)
+
+
+def _clipped_table(plant: TablePlant) -> Iterator[Columns]:
+    """Yield an axis that clips at some share of the largest reading: on or off, no free size."""
+    largest = np.abs(plant.reading()).max(axis=0)
+    for axis, name in enumerate(WRENCH_AXES):
+        for share in _TABLE_SHARES:
+            limit = float(share * largest[axis])
+            values = plant.change(simulated.SensorSaturation(limit=limit, axis=name))[:, :, None]
+            words = {"axis": name, "limit": limit}
+            yield Columns(values, {}, words, allowed=lambda w: 0.5 < w[0] < 1.5)
+
+
+SENSOR_SATURATION = DiagnosedEffect(
+    name=_SATURATION,
+    title="saturated sensor",
+    sentence="the sensor's {axis} clips at {limit}",
+    remedy="stay within the sensor's range, or take one of a larger range",
+    forms=no_forms,
+    columns=bent_candidates,
+    limits=saturation_candidates,
+    most_forms=2,
+    known="loose",
+    parameters=_saturation_parameters,
+    in_table=lambda plant: list(_clipped_table(plant)),
+)

@@ -1,0 +1,49 @@
+"""Effects of the tracker and of its base marker."""
+
+from __future__ import annotations
+
+import numpy as np
+from galen_sim_driver.effects.sensor import BaseShift, TrackerDelay, TrackerScale
+
+from galen_diagnosis.effects.diagnosed_effect import DiagnosedEffect, no_forms
+from galen_diagnosis.effects.jumps import Jump
+from galen_diagnosis.observation.observation import UNKNOWNS
+
+TRACKER_DELAY = DiagnosedEffect(
+    name=TrackerDelay.name,
+    title="late tracker",
+    sentence="the tracker's stamps are {delay_s} late",
+    remedy="take the delay off the stamps in the tracker's driver",
+    needs="tracker",
+    # A camera's exposure and way are known to a fraction of its period of 3 to 17 ms.
+    tolerance=1.0e-3,
+    known="firm",
+    by_second=True,
+)
+
+TRACKER_SCALE = DiagnosedEffect(
+    name=TrackerScale.name,
+    title="tracker's scale",
+    sentence="the tracker's positions are {gain} too large",
+    remedy="have the tracker calibrated",
+    needs="tracker",
+    tolerance=0.05e-3,
+)
+
+BASE_SHIFT = DiagnosedEffect(
+    name=BaseShift.name,
+    title="moved base marker",
+    sentence="the base marker's stand moves at {time_s} of push, by {translation_m} and"
+    " {rotvec_rad}",
+    remedy="fasten the base marker's stand, and record the pushes again",
+    needs="tracker",
+    forms=no_forms,
+    jump=Jump(
+        effect=lambda _, at_s: BaseShift(time_s=at_s),
+        unknowns=slice(12, UNKNOWNS),
+        typical=np.array([1e-3] * 3 + [3e-3] * 3),
+        grid_s={"push": 0.2},
+        tracked=True,
+    ),
+    known="firm",
+)
