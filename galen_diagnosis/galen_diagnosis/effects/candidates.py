@@ -33,7 +33,7 @@ class Candidate:
     bonus: log evidence for the form that isn't in the rows. model: which of the effect's, in words,
     where it has several. into: the candidate that a fit takes in
     its place, and where it begins, of the linear answer (p,). wider: it holds a smaller form, which
-    is easier to see.
+    is easier to see. limit_unit: of the numbers, that a specification's limits are in.
     """
 
     effect: str
@@ -52,6 +52,7 @@ class Candidate:
     model: str = ""
     into: Callable[[Array], tuple[Candidate, Array]] | None = None
     wider: bool = False
+    limit_unit: float = 1.0
 
     @property
     def key(self) -> tuple[str, str]:

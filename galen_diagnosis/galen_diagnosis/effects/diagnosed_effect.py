@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 from xml.etree import ElementTree
 
+import numpy as np
 from galen_model.arm.arm import Arm
 from galen_model.arrays import Array
 from galen_model.evidence.held_out import Columns
@@ -82,7 +83,10 @@ class DiagnosedEffect:
     not_on_galen: tuple[str, ...] = ()
     """Joints of the Galen that the calibration of the probabilities has it not at."""
     tolerance: Sizes | Callable[[CalibrationFile], Sizes] | None = None
-    """Standard deviations of a healthy arm's numbers, None where it has none of it."""
+    """Standard deviations of a healthy arm's numbers where no specification limits them, None where
+    it has none of it."""
+    healthy: bool = False
+    """A healthy arm has some of it where a specification says how much."""
     forms: Callable[[Observation, Any], Iterable[Candidate]] = _plain
     """Forms by the simulator's differences, of the effect that changes nothing yet."""
     columns: Callable[[Observation, Array], Iterable[Candidate]] = no_forms
@@ -143,6 +147,16 @@ class DiagnosedEffect:
         """Standard deviation of what its model may be off, as a part."""
         return KAPPA[self.known]
 
-    def tolerances(self, tool: CalibrationFile) -> Sizes | None:
-        """Return the standard deviations of a healthy arm's numbers, by the tool's file."""
-        return self.tolerance(tool) if callable(self.tolerance) else self.tolerance
+    def tolerances(self, recording: DiagnosticRecording, one: Candidate) -> Sizes | None:
+        """Return the standard deviations of a healthy arm's numbers of one form.
+
+        By the recording's specification, which limits what forms are known for, or as usual.
+        """
+        if one.wider or (self.tolerance is None and not self.healthy):
+            return None
+        if recording.specification is not None:
+            parts = tuple(one.base.limit_parts[k] for k in one.free)
+            by_limit = recording.specification.std(self.name, parts)
+            if by_limit is not None:
+                return tuple(np.array(by_limit) * one.limit_unit)
+        return self.tolerance(recording.tool) if callable(self.tolerance) else self.tolerance

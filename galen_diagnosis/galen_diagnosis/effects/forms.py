@@ -50,15 +50,13 @@ class Forms:
     def __init__(self, observation: Observation) -> None:
         self._observation = observation
         self._unknowns = unknown_columns(observation)
-        known = candidates(observation)
-        columns = [_columns(observation, one) for one in known]
-        self.behind = background(observation, self._unknowns, zip(known, columns, strict=True))
         zero = self._unknowns[:, :6]
         records = [record_of(name) for name in sought(observation.recording.arm)]
+        known = candidates(observation)
         for record in records:
-            more = list(record.columns(observation, zero))
-            known += more
-            columns += [_columns(observation, one) for one in more]
+            known += record.columns(observation, zero)
+        columns = [_columns(observation, one) for one in known]
+        self.behind = background(observation, self._unknowns, zip(known, columns, strict=True))
         self._limits = [one for record in records for one in record.limits(observation, zero)]
         self._jumps = [record.jump for record in records if record.jump is not None]
         ends = np.cumsum([own.shape[1] for own in columns]).tolist()
@@ -139,7 +137,7 @@ def background(
 
 def _tolerance(observation: Observation, one: Candidate) -> Sizes | None:
     """Return what a healthy arm's parameters may be off, in a form; None for no such."""
-    return None if one.wider else record_of(one.effect).tolerances(observation.recording.tool)
+    return record_of(one.effect).tolerances(observation.recording, one)
 
 
 def _place_columns(observation: Observation) -> Array:
@@ -161,9 +159,13 @@ def _place_columns(observation: Observation) -> Array:
 
 def healthy_background(observation: Observation) -> Background:
     """Return unknowns and a healthy arm's tolerances alone."""
+    unknowns = unknown_columns(observation)
+    known = candidates(observation)
+    for name in sought(observation.recording.arm):
+        known += record_of(name).columns(observation, unknowns[:, :6])
     columns = (
         (one, _columns(observation, one))
-        for one in candidates(observation)
+        for one in known
         if _tolerance(observation, one) is not None
     )
-    return background(observation, unknown_columns(observation), columns)
+    return background(observation, unknowns, columns)

@@ -87,12 +87,13 @@ def crosstalks() -> list[tuple[str, str, simulated.Crosstalk]]:
 def crosstalk_candidate(effect: simulated.Crosstalk) -> Candidate:
     """Return the form of one pair; coefficients between force and torque have a metre in them."""
     metre = 0.1
-    size = 0.03
+    unit = 1.0
     if (effect.from_axis[0] == "f") != (effect.to_axis[0] == "f"):
-        size = size * metre if effect.to_axis[0] == "t" else size / metre
+        unit = metre if effect.to_axis[0] == "t" else 1.0 / metre
+    size = 0.03 * unit
     label = f"{effect.from_axis} to {effect.to_axis}"
     one = plain_form(effect, label)
-    return replace(one, typical=np.array([size]), probe=np.array([0.1 * size]))
+    return replace(one, typical=np.array([size]), probe=np.array([0.1 * size]), limit_unit=unit)
 
 
 def crosstalk_candidates(observation: Observation, zero: Array) -> list[Candidate]:
@@ -123,6 +124,7 @@ CROSSTALK = DiagnosedEffect(
     title="crosstalk in the sensor",
     sentence="the sensor reads {coefficient} of {from} in {to}",
     remedy="have the sensor's decoupling matrix calibrated",
+    healthy=True,
     forms=no_forms,
     columns=crosstalk_candidates,
     most_forms=2,

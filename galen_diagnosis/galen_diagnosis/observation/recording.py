@@ -41,12 +41,22 @@ from galen_model.setup_check.check import SetupError, check_setup
 from galen_model.setup_check.readings import at_angles
 from galen_sim_driver.effects.effect import Effect
 from galen_sim_driver.effects.joints import JointZeroOffset, base_inclination
+from galen_sim_driver.effects.registry import limit_parts
 from galen_sim_driver.effects.sensor import AxisGain, SensorMountRotation
 
 from galen_diagnosis.observation.rows import BAGS
+from galen_diagnosis.observation.specification import (
+    SPECIFICATION_FILE,
+    Specification,
+    read_specification,
+)
 
-RECORDING_FILES = ("tool.json", ARM_FILE)
+RECORDING_FILES = ("tool.json", ARM_FILE, SPECIFICATION_FILE)
 """What is read of a recording beside its bags."""
+_NOT_SOUGHT = (
+    *("sensor_nonlinearity", "sensor_hysteresis", "joint_eccentricity", "deflection_creep"),
+)
+"""Effects of the contract that have a limit and no model yet."""
 _JUMP_S = 1.0
 _TRACKER_TOPICS = ("tracker/tool_pose", "tracker/base_pose")
 _LEAST_SAMPLES = 50
@@ -88,7 +98,8 @@ class BagData:
 class DiagnosticRecording:
     """Bags by name, in the contract's order, of an arm; `missing` names those that aren't there.
 
-    inertial_forces: whether the nominal model has those of tool and adapter.
+    inertial_forces: whether the nominal model has those of tool and adapter. specification: of the
+    arm and its instruments, None where none is given.
     """
 
     name: str
@@ -98,6 +109,7 @@ class DiagnosticRecording:
     problems: tuple[str, ...]
     arm: Arm
     inertial_forces: bool = False
+    specification: Specification | None = None
 
     @property
     def inertia_kg_m2(self) -> Array | None:
@@ -150,13 +162,15 @@ def read_recording(
     *,
     inertial_forces: bool = False,
     wrench_frame: str = "sensor",
+    specification: str | os.PathLike[str] | None = None,
 ) -> DiagnosticRecording:
     """Read a recording's directory; raises GalenError.
 
     The arm is that of `arm.urdf` in it, or of `robot_description` in its bags, else the Galen.
     tool: the tool's file, where it isn't the directory's own tool.json. inertial_forces: the
     nominal model has those of tool and adapter, with the file's masses. wrench_frame: "sensor", or
-    "base" where wrenches are written in the base's axes. Missing bags are named in
+    "base" where wrenches are written in the base's axes. specification: a file, where it isn't the
+    directory's own specification.json. Missing bags are named in
     `missing`; without any there is nothing to diagnose.
     """
     path = Path(path)
@@ -199,7 +213,17 @@ def read_recording(
         tuple(problems),
         robot,
         inertial_forces,
+        _specification(path, specification, robot),
     )
+
+
+def _specification(
+    path: Path, given: str | os.PathLike[str] | None, arm: Arm
+) -> Specification | None:
+    file = path / SPECIFICATION_FILE if given is None else Path(given)
+    if given is None and not file.exists():
+        return None
+    return read_specification(file, {**dict.fromkeys(_NOT_SOUGHT, ()), **limit_parts(arm)})
 
 
 def require_sound_setup(recording: DiagnosticRecording) -> None:

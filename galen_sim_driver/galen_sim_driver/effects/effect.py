@@ -127,7 +127,8 @@ class Effect:
     contract, where they are others; "a.b" is the entry b of a mapping a, left out where 0.
     beyond_contract: fields that the contract doesn't name. recording_only: fields that mean nothing
     to a driver.
-    of_a_joint: it has a field `joint`, and at another joint it is another cause.
+    of_a_joint: it has a field `joint`, and at another joint it is another cause. has_limit: a
+    specification limits it; else it is there or not.
     """
 
     name: ClassVar[str]
@@ -139,11 +140,18 @@ class Effect:
     beyond_contract: ClassVar[tuple[str, ...]] = ()
     recording_only: ClassVar[tuple[str, ...]] = ()
     of_a_joint: ClassVar[bool] = False
+    has_limit: ClassVar[bool] = True
 
     @property
     def identity(self) -> str:
         """What a diagnosis distinguishes: `name`, or `name:joint` of an effect of a joint."""
         return f"{self.name}:{vars(self)['joint']}" if self.of_a_joint else self.name
+
+    @property
+    def limit_parts(self) -> tuple[str, ...]:
+        """Return of each number of `vector` the name under which a specification may limit it."""
+        part = vars(self)["joint"] if self.of_a_joint else ""
+        return (part,) * len(self.vector())
 
     # --- on an arm ----------------------------------------------------------------------------
 

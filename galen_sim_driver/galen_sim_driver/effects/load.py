@@ -110,6 +110,7 @@ class InertialLoad(Effect):
     """`mass_kg` accelerates with the sensor, tool and adapter together."""
 
     name = "inertial_load"
+    has_limit = False
     fitted = (Fitted("mass_kg", "kg", 0.15, 0.0, 5.0),)
     needs_motion = True
     beyond_contract = ("own_inertia_kg_m2",)

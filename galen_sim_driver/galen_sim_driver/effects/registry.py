@@ -125,3 +125,12 @@ def _flat(parameters: Mapping[str, Any]) -> dict[str, Any]:
         else:
             flat[name] = value
     return flat
+
+
+def limit_parts(arm: Arm) -> dict[str, tuple[str, ...]]:
+    """Return of each effect that a specification limits the names its limits may have on an arm."""
+    found: dict[str, dict[str, None]] = {}
+    for effect in identities(arm).values():
+        if effect.has_limit:
+            found.setdefault(effect.name, {}).update(dict.fromkeys(effect.limit_parts))
+    return {name: tuple(part for part in parts if part) for name, parts in found.items()}

@@ -81,6 +81,7 @@ class AxisGain(Effect):
 
     name = "axis_gain"
     fitted = (Fitted("gain", "", 0.03, -0.9, 2.0, 6),)
+    limit_parts = WRENCH_AXES
     order = 1
 
     gain: tuple[float, ...] = param(
@@ -143,6 +144,7 @@ class BiasStep(_Additive):
     """`step` from `time_s` on, since the first stamp of `bag`."""
 
     name = "bias_step"
+    has_limit = False
     fitted = (Fitted("step", "", (0.3, 0.3, 0.3, 0.01, 0.01, 0.01), -50.0, 50.0, 6),)
     order = 4
     recording_only = ("bag",)
@@ -193,6 +195,7 @@ class SensorSaturation(Effect):
     """`axis` reads nothing beyond +- `limit`; 0 for none. Clipping can't be undone."""
 
     name = "sensor_saturation"
+    has_limit = False
     fitted = (Fitted("limit", "", 5.0, 1e-4, 1e3),)
     order = 5
     after_noise = True
@@ -223,6 +226,7 @@ class SensorDrift(_Additive):
 
     name = "sensor_drift"
     fitted = (Fitted("rate_per_hour", "1/h", (1.0, 1.0, 1.0, 0.02, 0.02, 0.02), -1e3, 1e3, 6),)
+    limit_parts = ("force_N_per_hour",) * 3 + ("torque_Nm_per_hour",) * 3
     order = 3
     beyond_contract = ("knots_s", "levels")
 
@@ -324,6 +328,7 @@ class BaseShift(Effect):
     """
 
     name = "base_shift"
+    has_limit = False
     fitted = (
         Fitted("translation_m", "m", 0.001, -1.0, 1.0, 3),
         Fitted("rotvec_rad", "rad", 0.003, -1.5, 1.5, 3),
