@@ -130,6 +130,7 @@ class Job:
     inertial_forces: bool = False
     check_setup: bool = True
     wrench_frame: str = "sensor"
+    specification: Path | None = None
 
     def __call__(self, recording: Place) -> dict[str, Any]:
         """Diagnose and write; returns what diagnosis.json holds."""
@@ -151,6 +152,7 @@ class Job:
                 tool,
                 inertial_forces=self.inertial_forces,
                 wrench_frame=self.wrench_frame,
+                specification=self.specification,
             )
             if self.check_setup:
                 require_sound_setup(recording)
@@ -254,6 +256,13 @@ def _add_recording_options(parser: argparse.ArgumentParser) -> None:
         " file, as gravcomp_node has them with its parameter motion",
     )
     parser.add_argument(
+        "--specification",
+        type=Path,
+        metavar="FILE",
+        help="limits of what is healthy for this arm and its sensor, by effect (default: the"
+        " recording's specification.json; without one those of a carefully calibrated arm)",
+    )
+    parser.add_argument(
         "--next",
         type=Path,
         metavar="FILE",
@@ -328,6 +337,7 @@ def _recordings(arguments: argparse.Namespace, console: Console) -> int:
         inertial_forces=arguments.inertial_forces,
         check_setup=not arguments.no_setup_check,
         wrench_frame=arguments.wrench_frame,
+        specification=arguments.specification and local(arguments.specification),
     )
     if arguments.results is not None:
         output = None if arguments.output is None else local(arguments.output)
@@ -362,6 +372,10 @@ def _known(tool: Place | None, arguments: argparse.Namespace) -> dict[str, Any]:
     known = {"diagnose": RESULT_VERSION, "inertial_forces": arguments.inertial_forces}
     if arguments.wrench_frame != "sensor":
         known["wrench_frame"] = arguments.wrench_frame
+    if arguments.specification is not None:
+        if not arguments.specification.is_file():
+            raise GalenError(f"{arguments.specification}: no such file")
+        known["specification_sha256"] = sha256(arguments.specification.read_bytes()).hexdigest()
     if tool is not None:
         with local_copy(tool) as path:
             if not path.is_file():

@@ -90,6 +90,7 @@ class Answer:
     leaves, each with `what` it is a function of, `energy` over the noise's and `log_bayes` against
     noise; the clearest first. corrections: sentences on files that correct what was found. data:
     what was diagnosed and against what, by a word for each. notes: how rows were made.
+    specification: name and source of the limits that were given, or None.
     """
 
     recording: str
@@ -107,6 +108,7 @@ class Answer:
     problems: tuple[str, ...] = ()
     data: tuple[tuple[str, str], ...] = ()
     notes: tuple[str, ...] = ()
+    specification: dict[str, str] | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Return the file's content; `sentence` and the last seven are beyond the contract."""
@@ -120,6 +122,7 @@ class Answer:
             "where": self.where,
             "gap": self.gap,
             "next_experiment": self.next_experiment,
+            "specification": self.specification,
             "cannot_tell": list(self.cannot_tell),
             "tested": [one.to_json() for one in self.tested],
             "remaining": list(self.remaining),

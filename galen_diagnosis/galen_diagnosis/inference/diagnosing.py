@@ -180,6 +180,7 @@ def conclude(explored: Explored, settings: Settings, say: Progress) -> Diagnosis
         remaining=_remaining(explored),
         tested=excluded_effects(explored, chosen, causes, verdict, settings),
         data=data_words(observation.recording),
+        specification=_specification(observation.recording),
     )
     return Diagnosis(
         answer=replace(answer, sentence=sentence(answer)),
@@ -193,6 +194,11 @@ def conclude(explored: Explored, settings: Settings, say: Progress) -> Diagnosis
         experiment=experiment,
         healthy=healthy,
     )
+
+
+def _specification(recording: DiagnosticRecording) -> dict[str, str] | None:
+    given = recording.specification
+    return None if given is None else {"name": given.name, "source": given.source}
 
 
 def _healthy(found: Found, plain: Background) -> Array:

@@ -84,8 +84,8 @@ def read_specification(path: Path, known: Mapping[str, tuple[str, ...]]) -> Spec
                 part: _positive(limit, f"limits.{effect}.{part}") for part, limit in by_part.items()
             }
         return Specification(
-            sentence(get(content, "name"), "name"),
-            sentence(get(content, "source"), "source"),
+            sentence(content.get("name", path.name), "name"),
+            sentence(content.get("source", ""), "source"),
             limits,
         )
     except OSError as error:

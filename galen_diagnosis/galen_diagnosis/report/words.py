@@ -228,9 +228,16 @@ def sentence(answer: Answer) -> str:
     """Write the verdict: causes with their numbers and probability, how much of the gap closes."""
     chances = dict(answer.ranking)
     if answer.verdict == NONE:
+        chance = probability_words(chances.get(NONE, 0.0))
+        if answer.specification is not None:
+            name = answer.specification["name"]
+            return (
+                f"Within specification ({name}): what the nominal model leaves is noise and what"
+                f" the limits allow, probability {chance}."
+            )
         return (
             "No gap beyond noise and a healthy arm's tolerances: the nominal model holds,"
-            f" probability {probability_words(chances.get(NONE, 0.0))}."
+            f" probability {chance}."
         )
     if answer.verdict == UNKNOWN:
         text = (
@@ -339,13 +346,15 @@ def data_words(recording: DiagnosticRecording) -> tuple[tuple[str, str], ...]:
         f"{name} ({bag.wrench_s[-1]:.0f} s{', tracker' if bag.tool_marker else ''})"
         for name, bag in recording.bags.items()
     )
-    tool = recording.tool
+    tool, limits = recording.tool, recording.specification
+    of = f" ({limits.source})" if limits is not None and limits.source else ""
     return (
         ("recording", recording.name),
         ("bags", ", ".join(bags)),
         ("arm", recording.arm.name),
         ("calibration file", f"{tool.tool}, of {tool.calibrated_at}"),
         ("nominal model", recording.nominal),
+        ("specification", f"{limits.name}{of}" if limits else "a carefully calibrated arm's"),
         ("program", f"galen_diagnosis {_version()}"),
     )
 

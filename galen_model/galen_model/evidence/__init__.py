@@ -1,4 +1,4 @@
-"""Does the load fit, and if not, why?
+"""Does the load fit, and if not, why: verdicts, and what decides them.
 
 - `verdict`: causes, their messages, and the limits of what matters, for every question below.
 - `held_out`, `search`: tables of the diagnosis, scored on held-out blocks.

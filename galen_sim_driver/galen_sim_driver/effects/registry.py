@@ -132,5 +132,6 @@ def limit_parts(arm: Arm) -> dict[str, tuple[str, ...]]:
     found: dict[str, dict[str, None]] = {}
     for effect in identities(arm).values():
         if effect.has_limit:
-            found.setdefault(effect.name, {}).update(dict.fromkeys(effect.limit_parts))
+            parts = arm.joint_names if effect.of_a_joint else effect.limit_parts
+            found.setdefault(effect.name, {}).update(dict.fromkeys(parts))
     return {name: tuple(part for part in parts if part) for name, parts in found.items()}

@@ -1,0 +1,109 @@
+"""Limits of a specification: read with checks, and what lies within is no cause."""
+
+import json
+
+import numpy as np
+import pytest
+from galen_diagnosis.diagnose import main
+from galen_diagnosis.effects.forms import healthy_background
+from galen_diagnosis.observation.observation import Observation
+from galen_diagnosis.observation.recording import read_recording
+from galen_diagnosis.observation.specification import read_specification
+from galen_diagnosis.simulated_recording import make_recording
+from galen_model.arm.galen import GALEN
+from galen_model.errors import GalenError
+from galen_sim_driver.effects.joints import JointZeroOffset
+from galen_sim_driver.effects.registry import limit_parts
+from galen_sim_driver.effects.sensor import AxisGain
+
+LIMITS = {
+    "axis_gain": {"fz": 0.02, "default": 0.01},
+    "joint_zero_offset": {"tilt": 0.003, "default": 0.002},
+    "crosstalk": 0.004,
+    "sensor_hysteresis": 0.001,
+}
+ORDINARY = AxisGain((0.004, -0.003, 0.005, -0.004, 0.003, 0.002)), JointZeroOffset("tilt", 0.0008)
+
+
+def write(folder, limits, **more):
+    path = folder / "specification.json"
+    content = {"schema_version": 1, "name": "an arm", "source": "made up", "limits": limits}
+    path.write_text(json.dumps(content | more))
+    return path
+
+
+def read(path):
+    return read_specification(path, {**limit_parts(GALEN), "sensor_hysteresis": ()})
+
+
+def test_a_limit_is_of_a_part_or_the_default(tmp_path):
+    found = read(write(tmp_path, LIMITS))
+    assert (found.name, found.source) == ("an arm", "made up")
+    assert found.limit("axis_gain", "fz") == 0.02
+    assert found.limit("axis_gain", "tx") == 0.01
+    assert found.limit("joint_zero_offset", "roll") == 0.002
+    assert found.limit("joint_gain", "roll") is None
+    assert found.std("crosstalk", ("",)) == (0.002,)
+
+
+@pytest.mark.parametrize(
+    ("limits", "message"),
+    [
+        ({"axis_gains": 0.1}, "limits.axis_gains is no effect that has a limit; known: "),
+        ({"bias_step": 0.1}, "limits.bias_step is no effect that has a limit"),
+        ({"axis_gain": 0.0}, "limits.axis_gain.default is 0: a limit is positive and finite"),
+        ({"axis_gain": {"fq": 0.1}}, "limits.axis_gain.fq is not known; known: fx, fy"),
+        ({"joint_gain": {"elbow": 0.1}}, "limits.joint_gain.elbow is not known; known: delta_x"),
+        ({"axis_gain": "1 %"}, "limits.axis_gain.default"),
+        ([], "limits"),
+    ],
+)
+def test_bad_limits_name_file_and_key(tmp_path, limits, message):
+    path = write(tmp_path, limits)
+    with pytest.raises(GalenError) as error:
+        read(path)
+    assert str(error.value).startswith(f"{path}: ")
+    assert message in str(error.value)
+
+
+def test_a_specification_of_another_version_is_rejected(tmp_path):
+    with pytest.raises(GalenError, match="schema_version"):
+        read(write(tmp_path, LIMITS, schema_version=2))
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("specification") / "made"
+    make_recording(folder, ORDINARY, seed=4, bags=("sweep",), arm=GALEN)
+    return folder
+
+
+def test_half_a_limit_is_the_deviation_beside_every_cause(recording, tmp_path):
+    plain = healthy_background(Observation(read_recording(recording))).prior_std
+    limited = read_recording(recording, specification=write(tmp_path, LIMITS))
+    std = healthy_background(Observation(limited)).prior_std
+    assert len(std) == len(plain) + 30  # a crosstalk is none of a carefully calibrated arm's
+    assert np.count_nonzero(std == 0.01) == np.count_nonzero(plain == 0.01) + 1
+    assert np.count_nonzero(np.isclose(std, 0.005)) >= 5
+    assert np.any(np.isclose(std, 0.0015)) and not np.any(np.isclose(plain, 0.0015))
+
+
+@pytest.mark.slow
+def test_what_lies_within_is_no_cause_and_what_lies_beyond_is(recording, tmp_path, capsys):
+    def verdict(*options):
+        assert main([str(recording), "--json", "--no-report", "--overwrite", "--output",
+                     str(tmp_path / "out"), *options]) == 0  # fmt: skip
+        return json.loads(capsys.readouterr().out)
+
+    limits = str(write(tmp_path, LIMITS))
+    tight = verdict()
+    assert tight["verdict"] != "none" and tight["specification"] is None
+    within = verdict("--specification", limits)
+    assert within["verdict"] == "none"
+    assert within["sentence"].startswith("Within specification (an arm)")
+    assert within["specification"] == {"name": "an arm", "source": "made up"}
+    better = {"axis_gain": 6e-4, "joint_zero_offset": LIMITS["joint_zero_offset"]}
+    beyond = verdict("--specification", str(write(tmp_path, better)))
+    assert [cause["effect"] for cause in beyond["causes"]] == ["axis_gain"]
+    assert main([str(recording), "--specification", str(tmp_path / "none.json")]) == 2
+    assert "none.json: no such file" in capsys.readouterr().err
