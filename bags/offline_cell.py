@@ -24,7 +24,7 @@ from galen_calibration_behavior.common.commands import (
 from galen_calibration_behavior.common.parameters import CalibrationParameters
 from galen_common.cdr import joint_state_bytes, pose_bytes, wrench_bytes
 from galen_common.goal.procedure import MoveTo, Stop
-from galen_model.arm.galen import GALEN, SENSOR_FRAME, TRACKER_FRAME
+from galen_model.arm.galen import GALEN, TRACKER_FRAME
 from galen_model.errors import GalenError
 from galen_sim_driver.plant.cell import Plant, Sample
 from galen_sim_driver.plant.config import PlantError
@@ -173,7 +173,7 @@ class CellBag:
         self._joint_states = bag.add_topic("joint_states", "sensor_msgs/msg/JointState")
         self._wrench_raw = bag.add_topic("wrench_raw", "geometry_msgs/msg/WrenchStamped")
         self._joint_bytes = joint_state_bytes(GALEN.joint_names)
-        self._wrench_bytes = wrench_bytes(SENSOR_FRAME)
+        self._wrench_bytes = wrench_bytes(GALEN.sensor_frame)
         self._tracker = tracker
         if tracker:
             pose = "geometry_msgs/msg/PoseStamped"

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pinocchio
-from galen_model.arm.galen import GALEN, SENSOR_FRAME, TIP_FRAME, galen_urdf
+from galen_model.arm.galen import GALEN, TIP_FRAME, galen_urdf
 from galen_model.arrays import Array
 from numpy.typing import ArrayLike
 
@@ -16,7 +16,7 @@ class PinocchioArm:
         self._data = self.model.createData()
         assert tuple(self.model.names[1:]) == GALEN.joint_names
 
-    def pose(self, joints: ArrayLike, frame: str = SENSOR_FRAME) -> tuple[Array, Array]:
+    def pose(self, joints: ArrayLike, frame: str = GALEN.sensor_frame) -> tuple[Array, Array]:
         """R_base_frame (3, 3) and the frame's origin in base_link (3,), m, at joints (5,)."""
         pinocchio.framesForwardKinematics(self.model, self._data, np.asarray(joints, dtype=float))
         placement = self._data.oMf[self.model.getFrameId(frame)]

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio
 import pytest
-from galen_model.arm.galen import GALEN, GRAVITY_M_S2, SENSOR_FRAME
+from galen_model.arm.galen import GALEN, GRAVITY_M_S2
 from galen_model.errors import GalenError
 from galen_model.load.model import ADAPTER, TOOLS, Load, gravity_wrench, nominal_reading
 from galen_sim_driver.effects.joints import (
@@ -91,7 +91,7 @@ def sensor_by_pinocchio(joints, roll_axis=(0.0, 0.0, 0.0), tilt_axis=(0.0, 0.0, 
         for turn in (roll_axis, tilt_axis)
     )
     roll, tilt = model.getJointId("roll"), model.getJointId("tilt")
-    frame = model.getFrameId(SENSOR_FRAME)
+    frame = model.getFrameId(GALEN.sensor_frame)
     model.jointPlacements[roll] = model.jointPlacements[roll] * of_roll
     model.jointPlacements[tilt] = of_roll.inverse() * model.jointPlacements[tilt] * of_tilt
     model.frames[frame].placement = of_tilt.inverse() * model.frames[frame].placement

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio
 import pytest
-from galen_model.arm.galen import GALEN, GRAVITY_M_S2, SENSOR, SENSOR_FRAME
+from galen_model.arm.galen import GALEN, GRAVITY_M_S2, SENSOR
 from galen_model.arm.sensor_motion import sensor_motion
 from galen_model.load.model import ADAPTER, TOOLS, Load
 from galen_sim_driver.effects.effect import Instants, Posture
@@ -98,7 +98,7 @@ def test_forces_of_acceleration_are_those_of_pinocchios_inverse_dynamics():
     model = PinocchioArm().model.copy()
     model.gravity.linear = GRAVITY_M_S2
     tilt = model.getJointId("tilt")
-    frame = model.frames[model.getFrameId(SENSOR_FRAME)].placement
+    frame = model.frames[model.getFrameId(GALEN.sensor_frame)].placement
     inertia = pinocchio.Inertia(load.mass_kg, load.com_m, tensor(TOOL_INERTIA))
     model.appendBodyToJoint(tilt, inertia, frame)
     data = model.createData()

@@ -15,7 +15,7 @@ import time
 
 import numpy as np
 import rclpy
-from galen_model.arm.galen import GALEN, SENSOR_FRAME
+from galen_model.arm.galen import GALEN
 from galen_ros.messages import STREAM, fill_stamp
 from galen_ros.node.spin import run
 from geometry_msgs.msg import PoseStamped, WrenchStamped
@@ -44,7 +44,7 @@ def send(wrench_topic: str, rate_hz: float, moving: bool) -> None:
     home = np.array([0.0, 0.0, 0.408, 0.2, -0.1])
     joints.position = home.tolist()
     joints.velocity = [0.0] * 5
-    wrench.header.frame_id = SENSOR_FRAME
+    wrench.header.frame_id = GALEN.sensor_frame
     next_s = time.monotonic()
     count = 0
     while True:

@@ -22,7 +22,6 @@ GRAVITY_M_S2 = np.array([0.0, 0.0, -9.80665])
 GRAVITY_M_S2.setflags(write=False)
 """Gravity in base_link."""
 
-SENSOR_FRAME = "ft_sensor"
 TIP_FRAME = "tool_tip"
 TRACKER_FRAME = "tracker"
 
