@@ -139,7 +139,7 @@ class Problem:
     def robust(self) -> Fit:
         """Fit the readings that agree; raises IdentificationError where too few do."""
         used = np.ones(len(self), dtype=bool)
-        if self.design[..., 0].size <= self._unknowns:
+        if self.readings.size <= self._unknowns:
             raise IdentificationError(
                 f"{len(self)} poses are too few for {self._unknowns} parameters"
             )
