@@ -341,9 +341,11 @@ def test_readings_of_no_common_load_are_said_and_no_file_is_written(tmp_path, re
         tmp_path / "t.csv", ["roll", "tilt", *WRENCH], np.column_stack([roll, tilt, wrench]), ","
     )
     assert main([str(table)]) == 0
-    assert "no model fits" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "The load does not fit" in printed
+    assert "15 of 30 could not be scored" in printed
     assert main([str(table), "--write-tool", str(tmp_path / "tool.json")]) == 1
-    assert "fit no common load" in capsys.readouterr().err
+    assert "tool.json is not written: The load does not fit" in capsys.readouterr().err
     assert not (tmp_path / "tool.json").exists()
 
 
