@@ -110,7 +110,7 @@ def test_a_model_with_the_mounting_wins_on_held_out_readings_of_a_turned_sensor(
     assert result.worth.pays
     assert scores[MOUNTED].rmse[0] < 0.1 * scores[PLAIN].rmse[0]
     assert np.all(scores[MOUNTED].rmse < 1.5 * NOISE)
-    file = tool_from_table("gripper", readings, found.single, found)
+    file = tool_from_table("gripper", readings, found, found)
     assert file.mounting is not None
     left = readings.wrench - table_prediction(file, readings)
     np.testing.assert_allclose(np.sqrt(np.mean(left**2, axis=0)), file.rmse, rtol=1e-9)
