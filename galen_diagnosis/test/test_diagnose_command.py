@@ -42,7 +42,7 @@ def diagnosed_as(verdict):
 def recordings(monkeypatch, tmp_path):
     """Work in a directory of its own; names of recordings are their verdicts."""
 
-    def read(path, tool=None, *, inertial_forces=False, wrench_frame="sensor"):
+    def read(path, tool=None, **options):
         if path.name.startswith("broken"):
             raise GalenError(f"{path}: no directory with a recording")
         retractor = read_calibration(ROOT / "bags" / "tools" / "retractor.json", arm=GALEN)
