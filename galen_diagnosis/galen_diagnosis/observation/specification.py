@@ -4,7 +4,7 @@ A limit is the largest magnitude that is within specification; 95 % of healthy p
 so that it is two standard deviations of what is fitted beside every cause.
 
     {"schema_version": 1, "name": "UR5e with an ATI Gamma", "source": "data sheets",
-     "limits": {"axis_gain": 0.01, "joint_zero_offset": {"elbow_joint": 0.001, "default": 0.002}}}
+     "limits": {EFFECT: 0.01, EFFECT: {JOINT OR AXIS: 0.001, "default": 0.002}}}
 """
 
 from __future__ import annotations
