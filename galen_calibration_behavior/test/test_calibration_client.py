@@ -141,7 +141,7 @@ def test_a_terminal_that_closes_cancels_and_the_arm_is_stopped(world):
 
 
 def test_another_terminal_cancels_it(world):
-    many = ("--iters-t", "30", "--iters-r", "30")  # so that it still runs then
+    many = ("--iters-t", "10", "--iters-r", "10")  # so that it still runs then
     with calibrate(world.harness, "pointer", *many) as client:
         world.harness.wait_for(
             lambda: world.node._goal and world.node._goal.procedure.progress[0] >= 1,

@@ -167,14 +167,11 @@ def test_a_table_has_a_verdict_and_a_wrong_set_up_writes_no_file(tmp_path, readi
     out = capsys.readouterr().out
     assert "The load fits, to" in out and "% of its weight" in out and "bias fx (N)" in out
     tool.unlink()
-    for scale, words in (
-        ([-1, 1, 1, -1, 1, 1], "fx and tx have the wrong sign"),
-        ([1, 1, 1, 1e3, 1e3, 1e3], "torques are in N.mm"),
-    ):
-        write(path, ["gx", "gy", "gz", *WRENCH], np.hstack([gravity, wrench * scale]))
-        assert main([str(path), "--write-tool", str(tool)]) == 1
-        assert words in capsys.readouterr().err
-        assert not tool.exists()
+    scale = [1, 1, 1, 1e3, 1e3, 1e3]
+    write(path, ["gx", "gy", "gz", *WRENCH], np.hstack([gravity, wrench * scale]))
+    assert main([str(path), "--write-tool", str(tool)]) == 1
+    assert "torques are in N.mm" in capsys.readouterr().err
+    assert not tool.exists()
     assert main([str(path), "--write-tool", str(tool), "--no-setup-check"]) == 0
     assert tool.exists()
 
