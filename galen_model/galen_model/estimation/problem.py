@@ -51,6 +51,7 @@ MIN_POSES_TO_REJECT = 12
 _FALSE_REJECTIONS_PER_SWEEP = 0.01
 _MAD_TO_STD = 1.4826
 _LEAST_SHARE_OF_KIND = 0.1
+_SMALLEST_STEP = 1e-8  # N and N.m: of the noise, below which it has settled
 _ITERATIONS = 30
 _LARGEST_DISTANCE = 1.5 * np.sqrt(chi2_ppf(0.9999, 6))
 
@@ -375,7 +376,7 @@ class Equations:
         for _ in range(_ITERATIONS):
             values, covariance = self.values(sigma)
             next_sigma, freedom = self.noise(values, covariance, sigma)
-            settled = np.allclose(next_sigma, sigma, rtol=tolerance)
+            settled = np.all(np.abs(next_sigma - sigma) <= _SMALLEST_STEP + tolerance * sigma)
             sigma = next_sigma
             if settled:
                 break
