@@ -53,6 +53,7 @@ from galen_validation.blind.mujoco_arm import require_mujoco
 from galen_validation.blind.session import six_axis
 from galen_validation.blind.unlisted import NEED_SPRINGS, TEST_UNKNOWN
 
+_END_S = 20.0  # in which the diagnosing process ends by SIGINT
 DIAGNOSING = (sys.executable, "-m", "galen_validation.blind.diagnosing")
 _PAIRS_PER_CLASS = 15
 _KINDS: dict[str, LabelKind] = {
@@ -265,6 +266,11 @@ def diagnose(folder: Path, workers: int | None, command: Sequence[str] = DIAGNOS
             code = process.wait()
         except BaseException:
             os.killpg(process.pid, signal.SIGINT)
+            try:
+                process.wait(_END_S)
+            except subprocess.TimeoutExpired:
+                os.killpg(process.pid, signal.SIGKILL)
+                process.wait()
             raise
     if code == EXIT_INTERRUPTED:
         raise KeyboardInterrupt
