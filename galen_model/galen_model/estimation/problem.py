@@ -51,7 +51,6 @@ MIN_POSES_TO_REJECT = 12
 _FALSE_REJECTIONS_PER_SWEEP = 0.01
 _MAD_TO_STD = 1.4826
 _LEAST_SHARE_OF_KIND = 0.1
-_SMALLEST_STEP = 1e-8  # N and N.m: of the noise, below which it has settled
 _ITERATIONS = 30
 _LARGEST_DISTANCE = 1.5 * np.sqrt(chi2_ppf(0.9999, 6))
 
@@ -376,7 +375,7 @@ class Equations:
         for _ in range(_ITERATIONS):
             values, covariance = self.values(sigma)
             next_sigma, freedom = self.noise(values, covariance, sigma)
-            settled = np.all(np.abs(next_sigma - sigma) <= _SMALLEST_STEP + tolerance * sigma)
+            settled = np.all(np.abs(next_sigma - sigma) <= tolerance * sigma)
             sigma = next_sigma
             if settled:
                 break
