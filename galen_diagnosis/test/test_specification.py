@@ -106,4 +106,4 @@ def test_what_lies_within_is_no_cause_and_what_lies_beyond_is(recording, tmp_pat
     beyond = verdict("--specification", str(write(tmp_path, better)))
     assert [cause["effect"] for cause in beyond["causes"]] == ["axis_gain"]
     assert main([str(recording), "--specification", str(tmp_path / "none.json")]) == 1
-    assert "none.json: no such file" in capsys.readouterr().err
+    assert "none.json: can't be read: No such file" in capsys.readouterr().err
