@@ -61,6 +61,7 @@ from galen_model.estimation.evidence import (
 from galen_model.estimation.least_squares import Information
 from galen_model.evidence.verdict import Cause
 from galen_model.files.calibration_file import CalibrationFile
+from galen_model.load.readings import single_load_design
 
 _LOAD, _OFFSET, _DRIFT, _SAG = slice(0, 4), slice(4, 10), slice(10, 16), 16
 _COUNT = 17
@@ -180,7 +181,7 @@ class FitEvidence:
         hours = (segments.end_ns - int(segments.end_ns[-1])) / 3.6e12
         return np.concatenate(
             [
-                columns.load_and_offset(gravity),
+                single_load_design(gravity),
                 columns.drift(hours),
                 columns.loose_tool(gravity, self._sag_mass_kg),
             ],

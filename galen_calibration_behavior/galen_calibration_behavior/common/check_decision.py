@@ -53,6 +53,7 @@ from galen_model.evidence.verdict import (
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.model import gravity_regressor, gravity_wrench
 from galen_model.load.mounting import Mounting
+from galen_model.load.readings import single_load_design
 from galen_model.poses.design import workspace
 from galen_model.rest.segments import PoseRecord
 from scipy.optimize import brentq
@@ -158,7 +159,7 @@ def explain_rest(
 
 def load_and_offset(angles: Array, tool: CalibrationFile) -> Array:
     """Return [G, I] (n, 6, 10) at angles (n, k), rad."""
-    return columns.load_and_offset(tool.gravity_in_sensor(angles))
+    return single_load_design(tool.gravity_in_sensor(angles))
 
 
 def zero_lost(offset: Array, tool: CalibrationFile, limit: Array) -> str:

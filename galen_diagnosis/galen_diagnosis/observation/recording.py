@@ -53,9 +53,7 @@ from galen_diagnosis.observation.specification import (
 
 RECORDING_FILES = ("tool.json", ARM_FILE, SPECIFICATION_FILE)
 """What is read of a recording beside its bags."""
-_NOT_SOUGHT = (
-    *("sensor_nonlinearity", "sensor_hysteresis", "joint_eccentricity", "deflection_creep"),
-)
+_NOT_SOUGHT = "sensor_nonlinearity", "sensor_hysteresis", "joint_eccentricity", "deflection_creep"
 """Effects of the contract that have a limit and no model yet."""
 _JUMP_S = 1.0
 _TRACKER_TOPICS = ("tracker/tool_pose", "tracker/base_pose")

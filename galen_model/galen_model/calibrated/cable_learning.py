@@ -28,7 +28,6 @@ from scipy.optimize import minimize
 from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
-from galen_model.calibrated.columns import load_and_offset
 from galen_model.calibrated.inertia_identification import OTHER_MASS
 from galen_model.errors import IdentificationError, NotExcitedError
 from galen_model.estimation.held_out import block_gain
@@ -45,6 +44,7 @@ from galen_model.load.cable import (
     groups,
     together,
 )
+from galen_model.load.readings import single_load_design
 from galen_model.rotation import skew
 
 # Priors: mean and standard deviation of the logarithms, of length_rad (each), length_m, amplitude
@@ -459,7 +459,7 @@ def _linear_held_out(sweep: CableSweep, block: np.ndarray) -> Array:
 
 
 def _ten_columns(sweep: CableSweep) -> Array:
-    return load_and_offset(sweep.arm.gravity_in_sensor(sweep.angles))
+    return single_load_design(sweep.arm.gravity_in_sensor(sweep.angles))
 
 
 def _newtons(held_out: CableScore) -> str:

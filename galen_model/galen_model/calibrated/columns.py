@@ -17,18 +17,12 @@ import numpy as np
 
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import CalibrationFile
-from galen_model.load.model import LoadEstimate, gravity_regressor, gravity_wrench
+from galen_model.load.model import LoadEstimate, gravity_wrench
 from galen_model.rotation import skew
 
 _STEP_RAD = 1e-4
 _KNOWN_AT_BEST = np.array([1e-4, 1e-5, 1e-5, 1e-5])
 """kg and kg.m: no calibration tells a load better than that."""
-
-
-def load_and_offset(gravity: Array) -> Array:
-    """Return [G, I] (n, 6, 10) for gravity (n, 3) in ft_sensor, m/s^2."""
-    constant = np.broadcast_to(np.eye(6), (len(gravity), 6, 6))
-    return np.concatenate([gravity_regressor(gravity), constant], axis=2)
 
 
 def drift(hours: Array) -> Array:
