@@ -58,18 +58,28 @@ from galen_model.setup_check.check import SetupError, check_setup
 from galen_model.transmission import time_blocks, whole_runs
 from galen_sim_driver.effects.effect import ConfigError, Effect
 from galen_sim_driver.effects.load import InertialLoad, ToolMassError
+from galen_sim_driver.effects.registry import LIMITED
 from rich.console import Console
 
 from galen_diagnosis.answer.answer import Answer, Diagnosis
 from galen_diagnosis.experiment.next_experiment import write_sweep
 from galen_diagnosis.inference.diagnosing import diagnose_recording
 from galen_diagnosis.observation.recording import (
+    DAY_TO_DAY,
     RECORDING_FILES,
     DiagnosticRecording,
     read_recording,
     require_sound_setup,
 )
 from galen_diagnosis.observation.rows import BAGS
+from galen_diagnosis.observation.specification import (
+    CALIBRATED,
+    DEFAULT,
+    SPECIFICATION_FILE,
+    path_of,
+    presets,
+    specification_of,
+)
 from galen_diagnosis.report.corrections import corrections
 from galen_diagnosis.report.report import (
     COLUMNS,
@@ -79,9 +89,11 @@ from galen_diagnosis.report.report import (
     effect_file,
     print_answer,
     print_overview,
+    print_specification,
     to_row,
     write_output,
 )
+from galen_diagnosis.report.words import sentence
 from galen_diagnosis.tables.conclusion import diagnose_blocks
 from galen_diagnosis.tables.rows import prepare_joint, prepare_table
 
@@ -130,7 +142,8 @@ class Job:
     inertial_forces: bool = False
     check_setup: bool = True
     wrench_frame: str = "sensor"
-    specification: Path | None = None
+    specification: tuple[str | Path, ...] = ()
+    reference: tuple[Place, ...] = ()
 
     def __call__(self, recording: Place) -> dict[str, Any]:
         """Diagnose and write; returns what diagnosis.json holds."""
@@ -145,20 +158,23 @@ class Job:
             check_output(folder, overwrite=self.overwrite)
         progress("reading", 0.0)
         with ExitStack() as copies:
-            copied = local_copy(place, folders=BAGS, files=RECORDING_FILES)
             tool = self.tool and copies.enter_context(local_copy(self.tool))
-            recording = read_recording(
-                copies.enter_context(copied),
-                tool,
-                inertial_forces=self.inertial_forces,
-                wrench_frame=self.wrench_frame,
-                specification=self.specification,
+            recording, *references = (
+                read_recording(
+                    copies.enter_context(local_copy(one, folders=BAGS, files=RECORDING_FILES)),
+                    tool,
+                    inertial_forces=self.inertial_forces,
+                    wrench_frame=self.wrench_frame,
+                    specification=self.specification,
+                )
+                for one in (place, *self.reference)
             )
             if self.check_setup:
                 require_sound_setup(recording)
             diagnosis = diagnose_recording(
                 recording,
                 progress=lambda stage, share: progress(stage, _READ + share * _DIAGNOSED),
+                references=references,
             )
         if folder is None:
             return diagnosis
@@ -184,7 +200,7 @@ def in_driver(recording: DiagnosticRecording, effects: Sequence[Effect]) -> tupl
     inertia = recording.inertia_kg_m2
     if not effects:
         return ()
-    effects = (*recording.nominal_effects, *effects)
+    effects = (*recording.mounted_effects, *effects)
     if inertia is None:
         return effects
     loads = recording.tool.load.load, recording.tool.adapter.load
@@ -242,6 +258,15 @@ def build_parser(kind: Kind = "recording") -> argparse.ArgumentParser:
     else:
         what = "the tool's calibration file (default: the recording's; of a table, it is fitted)"
         add_tool_file(parser, what).type = types
+        parser.add_argument(
+            "--reference",
+            type=types,
+            nargs="+",
+            default=(),
+            metavar=name,
+            help="earlier ones of the same arm and tool, by time: what has changed since is"
+            f" diagnosed (of recordings beyond {DAY_TO_DAY:.0%} of the limits)",
+        )
         (_add_table_options if kind == "table" else _add_recording_options)(parser)
     return parser
 
@@ -257,10 +282,20 @@ def _add_recording_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--specification",
-        type=Path,
-        metavar="FILE",
-        help="limits of what is healthy for this arm and its sensor, by effect (default: the"
-        " recording's specification.json; without one those of a carefully calibrated arm)",
+        type=_file_or_preset,
+        nargs="+",
+        default=(),
+        metavar="FILE|PRESET",
+        help="limits of what is healthy for this arm and its sensor, by effect; the first comes"
+        f" before the others (default: the recording's {SPECIFICATION_FILE}; without one"
+        f" {CALIBRATED} for the Galen, {DEFAULT} for other arms). Presets: {', '.join(presets())}",
+    )
+    parser.add_argument(
+        "--show-specification",
+        action=_ShowSpecification,
+        nargs="*",
+        metavar="FILE|PRESET",
+        help="print the limits, each with its source, and exit",
     )
     parser.add_argument(
         "--next",
@@ -271,6 +306,26 @@ def _add_recording_options(parser: argparse.ArgumentParser) -> None:
     )
     add_results(parser)
     add_workers(parser)
+
+
+def _file_or_preset(given: str) -> str | Path:
+    return given if given in presets() else Path(given)
+
+
+class _ShowSpecification(argparse.Action):
+    """As --help is: prints and exits."""
+
+    def __call__(
+        self, parser: argparse.ArgumentParser, _: Any, values: Any, option: str | None = None
+    ) -> None:
+        """Print the limits."""
+        given = [_file_or_preset(one) for one in values] or [DEFAULT]
+        try:
+            found = specification_of(given, dict.fromkeys(LIMITED))
+        except GalenError as error:
+            parser.error(str(error))
+        print_specification(found, terminal(110))
+        parser.exit()
 
 
 def _add_table_options(parser: argparse.ArgumentParser) -> None:
@@ -337,7 +392,10 @@ def _recordings(arguments: argparse.Namespace, console: Console) -> int:
         inertial_forces=arguments.inertial_forces,
         check_setup=not arguments.no_setup_check,
         wrench_frame=arguments.wrench_frame,
-        specification=arguments.specification and local(arguments.specification),
+        specification=tuple(
+            local(one) if isinstance(one, Path) else one for one in arguments.specification
+        ),
+        reference=tuple(seen(one) for one in arguments.reference),
     )
     if arguments.results is not None:
         output = None if arguments.output is None else local(arguments.output)
@@ -372,10 +430,12 @@ def _known(tool: Place | None, arguments: argparse.Namespace) -> dict[str, Any]:
     known = {"diagnose": RESULT_VERSION, "inertial_forces": arguments.inertial_forces}
     if arguments.wrench_frame != "sensor":
         known["wrench_frame"] = arguments.wrench_frame
-    if arguments.specification is not None:
-        if not arguments.specification.is_file():
-            raise GalenError(f"{arguments.specification}: no such file")
-        known["specification_sha256"] = sha256(arguments.specification.read_bytes()).hexdigest()
+    if arguments.specification:
+        specification_of(arguments.specification, dict.fromkeys(LIMITED))  # or raise
+        files = [path_of(one).read_bytes() for one in arguments.specification]
+        known["specification_sha256"] = sha256(b"\n".join(files)).hexdigest()
+    if arguments.reference:
+        known["reference"] = [str(one) for one in arguments.reference]
     if tool is not None:
         with local_copy(tool) as path:
             if not path.is_file():
@@ -443,6 +503,10 @@ def _tables(kind: Kind, arguments: argparse.Namespace, console: Console) -> int:
             answer = diagnose_blocks(
                 _name(path), *_prepared(kind, path, arguments), progress=line.show
             )
+        if kind == "table" and arguments.reference:
+            names = tuple(map(_name, arguments.reference))
+            answer = replace(answer, reference=names)
+            answer = replace(answer, sentence=sentence(answer))
         draw = None if arguments.no_report else _no_pictures
         write_output(answer, folder, files={}, draw=draw, overwrite=arguments.overwrite)
         if not arguments.json:
@@ -464,7 +528,10 @@ def _prepared(
         )
     columns = arguments.columns.split(",") if arguments.columns else None
     arm = chosen_arm(arguments)
-    table = read_table(path, columns, arguments.wrench_frame, arm=arm)
+    table, *references = (
+        read_table(one, columns, arguments.wrench_frame, arm=arm)
+        for one in (path, *arguments.reference)
+    )
     found = check_setup(still_readings(table))
     if found is not None and found.gross and not arguments.no_setup_check:
         raise SetupError(f"{path}: {found.sentence}; --no-setup-check diagnoses it all the same")
@@ -473,6 +540,7 @@ def _prepared(
         noise=None if arguments.noise is None else _noise(arguments.noise),
         tool=None if arguments.tool is None else read_calibration(arguments.tool, arm),
         window_s=arguments.average_s,
+        references=references,
     )
 
 

@@ -22,9 +22,11 @@ import numpy as np
 from galen_diagnosis.effects.forms import healthy_background, unknown_columns
 from galen_diagnosis.observation.observation import Observation
 from galen_diagnosis.observation.recording import BagData, DiagnosticRecording, Track
+from galen_diagnosis.observation.specification import CALIBRATED, specification_of
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_sim_driver.effects.effect import Effect, Instants, Loading
+from galen_sim_driver.effects.registry import LIMITED
 from scipy.spatial.transform import Rotation
 
 from galen_validation.blind.baselines import templates
@@ -130,7 +132,10 @@ def observed(measured: Measurement) -> DiagnosticRecording:
         )  # fmt: skip
     session = measured.session
     missing = tuple(bag for bag in BAGS if bag not in bags)
-    return DiagnosticRecording("healthy", tool_file(session), bags, missing, (), session.arm)
+    limits = specification_of([CALIBRATED], dict.fromkeys(LIMITED))
+    return DiagnosticRecording(
+        "healthy", tool_file(session), bags, missing, (), session.arm, limits
+    )
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from galen_model.arrays import Array
@@ -18,6 +18,8 @@ Verdict = Literal["none", "identified", "ambiguous", "unknown"]
 
 NONE = "none"
 UNKNOWN = "unknown"
+RESIDUAL = "residual"
+"""Of a budget: what no effect in it makes."""
 SURE = 0.9
 """Probability from which a cause counts as found."""
 NO_GAP = 0.5
@@ -62,6 +64,59 @@ class FoundCause:
 
 
 @dataclass(frozen=True)
+class BudgetItem:
+    """One effect's part of the whole gap, or the residual's, which has no more than a share.
+
+    label: with its joint, where it has one. parameters: of a cause; limits: of the specification,
+    one number or several, by the parameter that it limits. probability_beyond: that a number is
+    beyond its limit, None where that is not known. equivalent: identities of effects that the data can't
+    separate from it.
+    """
+
+    label: str
+    share: Interval
+    parameters: dict[str, Any] = field(default_factory=dict)
+    limits: dict[str, Any] = field(default_factory=dict)
+    probability_beyond: float | None = None
+    equivalent: tuple[str, ...] = ()
+
+    @property
+    def standing(self) -> Literal["within", "beyond", "undecided"] | None:
+        """Where it lies by the specification, None where that has no limit."""
+        if self.probability_beyond is None:
+            return "undecided" if self.limits else None
+        if self.probability_beyond >= SURE:
+            return "beyond"
+        return "within" if self.probability_beyond <= 1.0 - SURE else "undecided"
+
+    def to_json(self) -> dict[str, Any]:
+        """Return an entry of `budget`."""
+        if self.label == RESIDUAL:
+            return {"effect": RESIDUAL, "share": self.share.to_json()}
+        named = {name: _limited(v, self.limits.get(name)) for name, v in self.parameters.items()}
+        return {
+            "joint": None,
+            **_at(self.label),
+            "parameters": named,
+            "specification": self.standing,
+            "probability_beyond": self.probability_beyond,
+            "equivalent": list(self.equivalent),
+            "share": self.share.to_json(),
+        }
+
+
+def _limited(value: Any, limit: Any) -> Any:
+    if isinstance(value, Interval):
+        return {**value.to_json(), **({} if limit is None else {"limit": limit})}
+    if isinstance(value, list | tuple):
+        each = limit if isinstance(limit, list) else [limit] * len(value)
+        return [_limited(part, own) for part, own in zip(value, each, strict=True)]
+    if isinstance(value, dict):
+        return {name: _limited(part, None) for name, part in value.items()}
+    return value
+
+
+@dataclass(frozen=True)
 class Excluded:
     """An effect that was sought and not found; label: with its joint, where it has one.
 
@@ -90,7 +145,9 @@ class Answer:
     leaves, each with `what` it is a function of, `energy` over the noise's and `log_bayes` against
     noise; the clearest first. corrections: sentences on files that correct what was found. data:
     what was diagnosed and against what, by a word for each. notes: how rows were made.
-    specification: name and source of the limits that were given, or None.
+    specification: name and source of the limits, None of tables. budget: what the whole gap is made
+    of, the largest share first; empty without a gap. reference: recordings since which changes are
+    diagnosed.
     """
 
     recording: str
@@ -108,7 +165,9 @@ class Answer:
     problems: tuple[str, ...] = ()
     data: tuple[tuple[str, str], ...] = ()
     notes: tuple[str, ...] = ()
+    budget: tuple[BudgetItem, ...] = ()
     specification: dict[str, str] | None = None
+    reference: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """Return the file's content; `sentence` and the last seven are beyond the contract."""
@@ -123,6 +182,8 @@ class Answer:
             "gap": self.gap,
             "next_experiment": self.next_experiment,
             "specification": self.specification,
+            "reference": list(self.reference) or None,
+            "budget": [one.to_json() for one in self.budget],
             "cannot_tell": list(self.cannot_tell),
             "tested": [one.to_json() for one in self.tested],
             "remaining": list(self.remaining),

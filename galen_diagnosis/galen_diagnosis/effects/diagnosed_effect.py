@@ -82,11 +82,10 @@ class DiagnosedEffect:
     """Without which nothing shows."""
     not_on_galen: tuple[str, ...] = ()
     """Joints of the Galen that the calibration of the probabilities has it not at."""
-    tolerance: Sizes | Callable[[CalibrationFile], Sizes] | None = None
-    """Standard deviations of a healthy arm's numbers where no specification limits them, None where
-    it has none of it."""
     healthy: bool = False
-    """A healthy arm has some of it where a specification says how much."""
+    """A healthy arm has some of it, which is fitted beside every cause: the forms are linear."""
+    file_std: Callable[[CalibrationFile], Sizes] | None = None
+    """Standard deviations of a healthy arm's numbers by the tool's file, where none are limited."""
     forms: Callable[[Observation, Any], Iterable[Candidate]] = _plain
     """Forms by the simulator's differences, of the effect that changes nothing yet."""
     columns: Callable[[Observation, Array], Iterable[Candidate]] = no_forms
@@ -148,15 +147,11 @@ class DiagnosedEffect:
         return KAPPA[self.known]
 
     def tolerances(self, recording: DiagnosticRecording, one: Candidate) -> Sizes | None:
-        """Return the standard deviations of a healthy arm's numbers of one form.
-
-        By the recording's specification, which limits what forms are known for, or as usual.
-        """
-        if one.wider or (self.tolerance is None and not self.healthy):
+        """Return the standard deviations of a healthy arm's numbers of one form; None for none."""
+        if one.wider or not self.healthy:
             return None
-        if recording.specification is not None:
-            parts = tuple(one.base.limit_parts[k] for k in one.free)
-            by_limit = recording.specification.std(self.name, parts)
-            if by_limit is not None:
-                return tuple(np.array(by_limit) * one.limit_unit)
-        return self.tolerance(recording.tool) if callable(self.tolerance) else self.tolerance
+        parts = tuple(one.base.limit_parts[k] for k in one.free)
+        std = recording.specification.std(self.name, parts)
+        if std is not None:
+            return tuple(np.array(std) * one.limit_unit)
+        return None if self.file_std is None else self.file_std(recording.tool)

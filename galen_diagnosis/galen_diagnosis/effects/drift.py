@@ -127,6 +127,7 @@ SENSOR_DRIFT = DiagnosedEffect(
     remedy="let the sensor warm up, and zero it more often",
     forms=no_forms,
     columns=drift_candidates,
+    healthy=True,
     most_forms=3,
     general=True,
     between_knots=_between_knots,

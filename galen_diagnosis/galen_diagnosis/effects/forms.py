@@ -7,8 +7,9 @@ are right within what workshops and calibrations reach; a gap is what lies beyon
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from galen_model.arrays import Array
@@ -18,6 +19,7 @@ from galen_diagnosis.effects.candidates import Candidate
 from galen_diagnosis.effects.diagnosed_effect import Sizes
 from galen_diagnosis.effects.registry import record_of, sought
 from galen_diagnosis.observation.observation import UNKNOWNS, Observation, Unknowns
+from galen_diagnosis.observation.recording import DAY_TO_DAY, Earlier
 from galen_diagnosis.observation.rows import CHANNELS, TIP_AXES
 
 _ZERO_N, _ZERO_NM = 0.1, 2e-3
@@ -40,8 +42,27 @@ def candidates(observation: Observation) -> list[Candidate]:
     return found
 
 
+class Tolerances(NamedTuple):
+    """A healthy arm's own deviations: numbers with a prior of mean zero.
+
+    each: forms, and where their numbers are among all; columns (N, q): how the rows change with
+    them; precision (q, q): of the prior.
+    """
+
+    each: tuple[tuple[Candidate, slice], ...]
+    columns: Array
+    precision: Array
+
+    @property
+    def size(self) -> int:
+        """How many numbers."""
+        return self.columns.shape[1]
+
+
 class Forms:
     """Candidates that are judged together, linearly; behind: unknowns and tolerances.
+
+    tolerances: of `behind`, its last columns.
 
     Their columns stand side by side in one matrix, so that what a background takes of all of them
     is one product.
@@ -56,7 +77,9 @@ class Forms:
         for record in records:
             known += record.columns(observation, zero)
         columns = [_columns(observation, one) for one in known]
-        self.behind = background(observation, self._unknowns, zip(known, columns, strict=True))
+        self.behind, self.tolerances = background(
+            observation, self._unknowns, zip(known, columns, strict=True)
+        )
         self._limits = [one for record in records for one in record.limits(observation, zero)]
         self._jumps = [record.jump for record in records if record.jump is not None]
         ends = np.cumsum([own.shape[1] for own in columns]).tolist()
@@ -120,24 +143,54 @@ def unknown_columns(observation: Observation) -> Array:
 
 def background(
     observation: Observation, unknowns: Array, columns: Iterable[tuple[Candidate, Array]]
-) -> Background:
+) -> tuple[Background, Tolerances]:
     """Join unknowns (N, 18), places of the arm, and tolerances among candidates' columns (N, p)."""
-    parts = [unknowns]
-    std = [np.array([_ZERO_N] * 3 + [_ZERO_NM] * 3 + [np.inf] * 12)]
     places = _place_columns(observation)
-    parts.append(places)
+    parts = [unknowns, places]
+    std = [np.array([_ZERO_N] * 3 + [_ZERO_NM] * 3 + [np.inf] * 12)]
     std.append(np.tile([_PLACE_M] * 3 + [_PLACE_RAD] * 3, places.shape[1] // 6))
+    each: list[tuple[Candidate, slice]] = []
+    count = 0
     for one, values in columns:
         size = _tolerance(observation, one)
         if size is not None:
             parts.append(values)
             std.append(np.atleast_1d(np.asarray(size, dtype=float)))
-    return Background(np.concatenate(parts, axis=1), np.concatenate(std))
+            each.append((one, slice(count, count + values.shape[1])))
+            count += values.shape[1]
+    own = np.concatenate([np.zeros((len(places), 0)), *parts[2:]], axis=1)
+    covariance = np.diag(np.concatenate([np.zeros(0), *std[2:]]) ** 2)
+    if observation.recording.earlier is None:
+        behind = Background(np.concatenate(parts, axis=1), np.concatenate(std))
+    else:
+        covariance += _known_before(observation.recording.earlier, each, count)
+        mixed = own @ np.linalg.cholesky(covariance)  # numbers of unit variance
+        behind = Background(
+            np.concatenate([*parts[:2], mixed], axis=1), np.concatenate([*std[:2], np.ones(count)])
+        )
+    return behind, Tolerances(tuple(each), own, np.linalg.inv(covariance))
+
+
+def _known_before(earlier: Earlier, each: Sequence[tuple[Candidate, slice]], count: int) -> Array:
+    """Return the covariance (count, count) of what earlier recordings leave open."""
+    here = [one.key for one, place in each for _ in range(place.start, place.stop)]
+    places = {key: [k for k, own in enumerate(here) if own == key] for key in set(here)}
+    there = [places[key].pop(0) if places.get(key) else None for key in earlier.keys]
+    kept = [k for k, place in enumerate(there) if place is not None]
+    at = [place for place in there if place is not None]
+    out = np.zeros((count, count))
+    out[np.ix_(at, at)] = earlier.covariance[np.ix_(kept, kept)]
+    return out
 
 
 def _tolerance(observation: Observation, one: Candidate) -> Sizes | None:
     """Return what a healthy arm's parameters may be off, in a form; None for no such."""
-    return record_of(one.effect).tolerances(observation.recording, one)
+    record, recording = record_of(one.effect), observation.recording
+    sizes = record.tolerances(recording, one)
+    of_file = recording.specification.limit(record.name) is None
+    if sizes is None or recording.earlier is None or not of_file:
+        return sizes
+    return tuple(DAY_TO_DAY * np.atleast_1d(np.asarray(sizes)))
 
 
 def _place_columns(observation: Observation) -> Array:
@@ -168,4 +221,4 @@ def healthy_background(observation: Observation) -> Background:
         for one in known
         if _tolerance(observation, one) is not None
     )
-    return background(observation, unknowns, columns)
+    return background(observation, unknowns, columns)[0]

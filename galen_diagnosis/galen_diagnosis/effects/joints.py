@@ -32,8 +32,6 @@ from galen_diagnosis.effects.table_data import STEP, TablePlant, numbers_of
 from galen_diagnosis.observation.observation import Observation
 from galen_diagnosis.observation.recording import DiagnosticRecording
 
-_ANGLE = 0.1e-3
-"""A level and a dial gauge set a joint's zero and the base to 0.1 ... 0.2 mrad."""
 _ALONG = 0.9
 """Cosine between two axes from which on they are taken for one."""
 _INCLINATIONS_RAD = (0.01, 0.1)
@@ -68,7 +66,7 @@ JOINT_ZERO_OFFSET = DiagnosedEffect(
     title="zero of the {joint} joint",
     sentence="the {joint} joint's zero is off by {offset_rad}",
     remedy="set the {joint} joint's zero in its driver or in the robot description",
-    tolerance=_ANGLE,
+    healthy=True,
     in_description=_zero_in_description,
 )
 
@@ -78,7 +76,7 @@ JOINT_GAIN = DiagnosedEffect(
     sentence="the {joint} joint turns by {gain} more than it reports",
     remedy="correct the scale of the {joint} joint's encoder in its driver",
     not_on_galen=("roll",),
-    tolerance=0.1e-3,  # an encoder's scale over its travel
+    healthy=True,
     advice=lambda effect, _: (
         f"no robot description holds the gain of {effect.joint}: have the driver report"
         f" {1.0 + effect.gain:.6f} times its angle"
@@ -113,7 +111,7 @@ JOINT_AXIS_MISALIGNMENT = DiagnosedEffect(
     sentence="the {joint} axis is turned by {angle_rad} about {about} of its parent link",
     remedy="correct the {joint} axis in the robot description",
     not_on_galen=("roll",),
-    tolerance=_ANGLE,
+    healthy=True,
     forms=_misalignments,
     known="firm",
     in_description=_axis_in_description,
@@ -170,7 +168,7 @@ BASE_INCLINATION = DiagnosedEffect(
     title="inclined base",
     sentence="the base is inclined, by {inclination}",
     remedy="level the base, or correct gravity in the calibration file",
-    tolerance=(_ANGLE,) * 2,
+    healthy=True,
     in_table=_inclinations,
     in_file=_inclined_further,
     advice=_level_frame,

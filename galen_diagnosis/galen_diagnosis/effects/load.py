@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import cache
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -18,7 +20,7 @@ from galen_diagnosis.effects.candidates import Candidate, floats, plain_form
 from galen_diagnosis.effects.diagnosed_effect import DiagnosedEffect, FileParts
 from galen_diagnosis.effects.general_shapes import ForceField
 from galen_diagnosis.effects.table_data import LEVER_M, TablePlant, by_simulator
-from galen_diagnosis.observation.observation import Observation
+from galen_diagnosis.observation.observation import UNKNOWNS, Observation, Unknowns
 
 _MASS_KG, _COM_M = 0.1e-3, 0.1e-3
 """What a tool's file may be off at most and still be right, however unsure it says it is itself."""
@@ -35,14 +37,15 @@ TOOL_MASS_ERROR = DiagnosedEffect(
     title="tool's mass",
     sentence="the tool's true mass differs from its file's by {delta_kg}",
     remedy="calibrate the tool again",
-    tolerance=lambda tool: max(min(float(tool.load.mass_std_kg), _MASS_KG), _LEAST),
+    healthy=True,
+    file_std=lambda tool: max(min(float(tool.load.mass_std_kg), _MASS_KG), _LEAST),
     of_the_tool=True,
     in_table=by_simulator(simulated.ToolMassError(), of_the_load=True),
     in_file=_mass_added,
 )
 
 
-def _com_tolerance(tool: CalibrationFile) -> tuple[float, ...]:
+def _com_std(tool: CalibrationFile) -> tuple[float, ...]:
     return tuple(max(float(min(std, _COM_M)), _LEAST) for std in tool.load.com_std_m)
 
 
@@ -56,7 +59,8 @@ TOOL_COM_ERROR = DiagnosedEffect(
     title="tool's centre of mass",
     sentence="the tool's centre of mass differs from its file's by {delta_m}",
     remedy="calibrate the tool again",
-    tolerance=_com_tolerance,
+    healthy=True,
+    file_std=_com_std,
     of_the_tool=True,
     in_table=by_simulator(simulated.ToolComError(), of_the_load=True),
     in_file=_centre_moved,
@@ -67,7 +71,7 @@ LOOSE_TOOL = DiagnosedEffect(
     title="loose tool",
     sentence="the tool is loose and sags by {shift_m} in its mount",
     remedy="tighten the tool in its mount",
-    tolerance=0.01e-3,  # a tool seated in its mount
+    healthy=True,
     known="rough",
     swings=True,
     of_the_tool=True,
@@ -93,6 +97,7 @@ INERTIAL_LOAD = DiagnosedEffect(
 
 _REACH_M = 0.7
 """How far from the tool a cable's other end is taken to be where its fit begins."""
+_REACHES_M, _FARTHEST_M, _SMALL = (0.4, 1.0), 0.4, 1e-3
 _TABLE_N = 0.3
 _FEWEST_YAWS = 3
 
@@ -112,19 +117,76 @@ def _cables(observation: Observation, effect: simulated.CableDrag) -> Iterator[C
         curved, linear=19, model="elastic force, quadratic in the tool's place", wider=True
     )
 
-    def cable(values: Array) -> tuple[Candidate, Array]:
-        pull = values[:3]
-        tension = float(np.linalg.norm(pull))
-        anchor = at + _REACH_M * pull / max(tension, 1e-9)
+    def taut(anchor: Array, label: str) -> Candidate:
         here = replace(effect, tension_n=0.0, anchor_m=floats(anchor), reference_m=floats(at))
-        fitted = plain_form(here, "taut")
         probe = np.array([0.05, *[0.02] * 3, *[0.005] * 3, 0.1, 1e-3])
         typical = np.array([0.3, *[0.4] * 3, *[0.06] * 3, 2.0, 0.01])
+        return replace(plain_form(here, label), probe=probe, typical=typical, model="taut cable")
+
+    def cable(values: Array) -> tuple[Candidate, Array]:
+        tension = float(np.linalg.norm(values[:3]))
+        fitted = taut(at + _REACH_M * values[:3] / max(tension, 1e-9), "taut")
         begin = fitted.start.copy()
         begin[0] = tension
-        return replace(fitted, probe=probe, typical=typical, model="taut cable"), begin
+        return fitted, begin
 
     yield replace(field_, label="taut", linear=9, into=cable)
+    anchored = cache(lambda: _anchored(observation, effect, at))
+
+    def from_anchor(_: Array) -> tuple[Candidate, Array]:
+        begin = anchored()
+        return taut(np.asarray(begin.anchor_m), "anchored"), begin.vector()
+
+    yield replace(field_, label="anchored", linear=9, into=from_anchor)
+
+
+def _anchored(
+    observation: Observation, effect: simulated.CableDrag, at: Array
+) -> simulated.CableDrag:
+    """Return the taut cable that fits the rows best of those to anchors all about the tool.
+
+    Where the tool goes far a field is a poor start. At an anchor a cable of tension T, attached at
+    r, that gets tighter by kappa a metre, pulls in T, T r and T kappa linearly.
+    """
+    zero = observation.change((), Unknowns.none())
+    offsets = np.stack(
+        [observation.change((), Unknowns(one)) - zero for one in np.eye(UNKNOWNS)[:6]], axis=1
+    )
+    best: tuple[float, simulated.CableDrag] = (np.inf, effect)
+    for reach_m, direction in product(_REACHES_M, _directions()):
+        plain = replace(
+            effect,
+            tension_n=1.0,
+            anchor_m=floats(at + reach_m * direction),
+            attachment_m=(0.0,) * 3,
+            stretch_per_m=0.0,
+            bending_nm=0.0,
+            reference_m=floats(at),
+        )
+        steps = [replace(plain, attachment_m=floats(_SMALL * one)) for one in np.eye(3)]
+        steps.append(replace(plain, stretch_per_m=_SMALL))
+        one = observation.change([plain])
+        slopes = [(observation.change([step]) - one) / _SMALL for step in steps]
+        columns = np.column_stack([one, *slopes, offsets])
+        found = np.linalg.solve(columns.T @ columns, columns.T @ observation.nominal)
+        left = observation.nominal - columns @ found
+        if found[0] > 0.0 and left @ left < best[0]:
+            attachment = found[1:4] / found[0]
+            farthest = max(float(np.linalg.norm(attachment)) / _FARTHEST_M, 1.0)
+            begin = replace(
+                plain,
+                tension_n=float(found[0]),
+                attachment_m=floats(attachment / farthest),
+                stretch_per_m=float(np.clip(found[4] / found[0], 0.0, 20.0)),
+            )
+            best = float(left @ left), begin
+    return best[1]
+
+
+def _directions() -> Array:
+    """Return the 26 directions (26, 3) to a cube's corners, edges and sides."""
+    every = np.array([one for one in product((-1.0, 0.0, 1.0), repeat=3) if any(one)])
+    return np.asarray(every / np.linalg.norm(every, axis=1, keepdims=True))
 
 
 def _cable_parameters(
@@ -172,7 +234,7 @@ CABLE_DRAG = DiagnosedEffect(
     sentence="a cable pulls at the tool with {tension_N}",
     remedy="give the cable slack, or calibrate the tool with its cable",
     forms=_cables,
-    most_forms=3,
+    most_forms=4,
     general=True,
     parameters=_cable_parameters,
     known="loose",

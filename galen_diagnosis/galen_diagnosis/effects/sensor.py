@@ -54,7 +54,7 @@ SENSOR_MOUNT_ROTATION = DiagnosedEffect(
     title="turned sensor",
     sentence="the sensor is turned in its mount, by {rotvec_rad}",
     remedy="correct the sensor's frame in the robot description",
-    tolerance=(0.1e-3,) * 3,  # as of joints' zeros
+    healthy=True,
     in_table=by_simulator(simulated.SensorMountRotation()),
     in_file=_turned_further,
 )
@@ -70,8 +70,7 @@ AXIS_GAIN = DiagnosedEffect(
     title="gains of the sensor's axes",
     sentence="the sensor's axes read too much, by {gain}",
     remedy="have the sensor calibrated, or divide its readings by the gains",
-    # The rest of a sensor's gains after its maker's matrix and an adjustment on the arm.
-    tolerance=(0.3e-3,) * 6,
+    healthy=True,
     in_table=by_simulator(simulated.AxisGain()),
     in_file=_gains_on_gains,
 )
@@ -93,7 +92,8 @@ def crosstalk_candidate(effect: simulated.Crosstalk) -> Candidate:
     size = 0.03 * unit
     label = f"{effect.from_axis} to {effect.to_axis}"
     one = plain_form(effect, label)
-    return replace(one, typical=np.array([size]), probe=np.array([0.1 * size]), limit_unit=unit)
+    one = replace(one, typical=np.array([size]), probe=np.array([0.1 * size]), limit_unit=unit)
+    return replace(one, bonus=-np.log(len(crosstalks())))  # one of so many pairs
 
 
 def crosstalk_candidates(observation: Observation, zero: Array) -> list[Candidate]:
@@ -150,8 +150,7 @@ WRENCH_DELAY = DiagnosedEffect(
     sentence="the wrenches are {delay_s} late against the joints",
     remedy="take the delay off the stamps in the sensor's driver",
     needs="motion",
-    # Samples are stamped when they are read: within a fraction of a period of 2 to 10 ms.
-    tolerance=0.3e-3,
+    healthy=True,
     known="firm",
     by_second=True,
     in_joint_runs=_late_torque,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -28,7 +28,9 @@ from galen_diagnosis.answer.localization import by_pose, localize
 from galen_diagnosis.effects.registry import RECORDS, record_of, sought
 from galen_diagnosis.experiment.next_experiment import Experiment, propose
 from galen_diagnosis.experiment.separation import Alternative
+from galen_diagnosis.inference.budget import budget, lies_within, tolerances_after
 from galen_diagnosis.inference.discrepancy import Discrepancies, answered
+from galen_diagnosis.inference.earlier import after
 from galen_diagnosis.inference.excluded import excluded_effects
 from galen_diagnosis.inference.gap import Gap, covariance, held_out_gap, parameters, unknowns_alone
 from galen_diagnosis.inference.posterior import (
@@ -57,7 +59,7 @@ from galen_diagnosis.report.words import data_words, sentence
 
 Progress = Callable[[str, float], None]
 
-_LISTED = 0.05
+_LISTED, _WEIGHED = 0.05, 0.01
 _CLEAR = 5.0
 """Log of the odds from which on remaining structure is reported."""
 _LEAST_POSES = 4
@@ -68,7 +70,8 @@ class Explored:
     """What was looked at, before any probability: enough for a posterior under any settings.
 
     floor: mean square of a row that noise alone gives; structures: in what the best fit leaves.
-    alike: by a set of effects the others that the rows can't distinguish from it.
+    alike: by a set of effects the others that the rows can't distinguish from it. within: by a set
+    of effects those that lie within their limits as it is fitted, and so are no causes.
     """
 
     observation: Observation
@@ -78,6 +81,12 @@ class Explored:
     structures: tuple[Structure, ...]
     scored: tuple[Scored, ...]
     alike: dict[frozenset[str], tuple[frozenset[str], ...]] = field(default_factory=dict)
+    within: dict[frozenset[str], frozenset[str]] = field(default_factory=dict)
+
+    def beyond(self, names: Iterable[str]) -> frozenset[str]:
+        """Return a set's effects that lie beyond their limits."""
+        whole = frozenset(names)
+        return whole - self.within.get(whole, frozenset())
 
     def equivalents(self, names: tuple[str, ...], effect: str) -> set[str]:
         """Effects that take the place of one in a set that the rows can't distinguish."""
@@ -142,17 +151,35 @@ def diagnose_recording(
     recording: DiagnosticRecording,
     settings: Settings | None = None,
     progress: Progress | None = None,
+    references: Sequence[DiagnosticRecording] = (),
 ) -> Diagnosis:
-    """Diagnose; progress(what, share of the whole) is called as it goes on."""
+    """Diagnose; progress(what, share of the whole) is called as it goes on.
+
+    references: earlier recordings of the same arm, by time: what is diagnosed is what has changed.
+    """
     say = progress or (lambda what, share: None)
+    settings = settings or load_settings()
+    for number, one in enumerate(references):
+        share = number / (len(references) + 1)
+        known = one if recording.earlier is None else replace(one, earlier=recording.earlier)
+        say(f"reference {one.name}", share)
+        explored = explore(known)
+        fit = fit_of_causes(explored, settings)
+        found = explored.found
+        off = hstack(explored.discrepancies.of(fit), format="csc")
+        tolerances = found.forms.tolerances
+        numbers = tolerances_after(explored.observation, found.behind, tolerances, fit, off)
+        recording = after(recording, known, tolerances, *numbers, fit)
     say("reading against the nominal arm", 0.02)
-    return conclude(explore(recording, progress), settings or load_settings(), say)
+    return conclude(explore(recording, progress), settings, say)
 
 
 def conclude(explored: Explored, settings: Settings, say: Progress) -> Diagnosis:
     """Return probabilities, verdict, held-out gap, where it lies, what to do next."""
     observation, found = explored.observation, explored.found
     chances = posterior(explored.scored, settings)
+    explored = replace(explored, within=_within(explored, chances))
+    chances = _of_causes(explored, chances)
     verdict, chosen = _verdict(explored, chances)
     best = chosen or found.none
     plain = unknowns_alone(found.behind)
@@ -167,6 +194,19 @@ def conclude(explored: Explored, settings: Settings, say: Progress) -> Diagnosis
     causes = _causes(explored, chances, verdict, best, gap)
     say("what next", 0.98)
     experiment = _next(explored, chances, verdict)
+    within = _in_budget(explored, verdict, best)
+    say("what the gap is made of", 0.99)
+    parts = budget(
+        observation,
+        found.behind,
+        found.forms.tolerances,
+        within,
+        hstack(explored.discrepancies.of(within), format="csc"),
+        explored.floor,
+    )
+    if verdict == UNKNOWN:  # a healthy arm's deviations then stand for what is not on the list
+        parts = tuple(replace(one, probability_beyond=None) for one in parts)
+    limits = observation.recording.specification
     answer = Answer(
         recording=observation.recording.name,
         verdict=verdict,
@@ -180,7 +220,9 @@ def conclude(explored: Explored, settings: Settings, say: Progress) -> Diagnosis
         remaining=_remaining(explored),
         tested=excluded_effects(explored, chosen, causes, verdict, settings),
         data=data_words(observation.recording),
-        specification=_specification(observation.recording),
+        reference=observation.recording.earlier.names if observation.recording.earlier else (),
+        budget=parts,
+        specification={"name": limits.name, "source": limits.source},
     )
     return Diagnosis(
         answer=replace(answer, sentence=sentence(answer)),
@@ -196,11 +238,6 @@ def conclude(explored: Explored, settings: Settings, say: Progress) -> Diagnosis
     )
 
 
-def _specification(recording: DiagnosticRecording) -> dict[str, str] | None:
-    given = recording.specification
-    return None if given is None else {"name": given.name, "source": given.source}
-
-
 def _healthy(found: Found, plain: Background) -> Array:
     """How the rows change by each tolerance of a healthy arm, after the unknowns' fit: (N, q)."""
     tolerances = found.behind.columns[:, UNKNOWNS:] * found.behind.prior_std[UNKNOWNS:]
@@ -211,29 +248,83 @@ def _sets(explored: Explored, chances: Probabilities) -> list[tuple[float, froze
     """Return sets of effects by probability, the likeliest first."""
     total: dict[frozenset[str], float] = {}
     for one, chance in zip(explored.scored, chances.hypotheses, strict=True):
-        if one.names:
-            key = frozenset(one.names)
+        if key := explored.beyond(one.names):
             total[key] = total.get(key, 0.0) + chance
     return sorted(((chance, names) for names, chance in total.items()), key=lambda x: -x[0])
 
 
-def _fitted(found: Found, names: frozenset[str]) -> Hypothesis | None:
-    """Return the likeliest fit of a set of effects."""
-    fits = [one for one in found.hypotheses if one.parts and frozenset(one.names) == names]
+def _fitted(explored: Explored, names: frozenset[str]) -> Hypothesis | None:
+    """Return the likeliest fit of a set of effects that are beyond their limits."""
+    fits = [
+        one
+        for one in explored.found.hypotheses
+        if one.parts and explored.beyond(one.names) == names
+    ]
     return max(fits, key=lambda one: one.log_bayes, default=None)
+
+
+def fit_of_causes(explored: Explored, settings: Settings) -> Hypothesis:
+    """Return the fit of the causes that are there, or of none."""
+    verdict, best = _verdict(explored, posterior(explored.scored, settings))
+    return explored.found.none if best is None or verdict == NONE else best
+
+
+def _within(explored: Explored, chances: Probabilities) -> dict[frozenset[str], frozenset[str]]:
+    """Return which effects of each set lie within their limits where it is fitted best.
+
+    What a healthy arm's deviations are fitted of beside every cause lies beyond where it is one.
+    """
+    out = {}
+    for chance, names in _sets(explored, chances):
+        fit = _fitted(explored, names)
+        if chance < _WEIGHED or fit is None:
+            continue
+        spread = covariance(explored.observation, explored.found.behind,
+                            hstack(explored.discrepancies.of(fit), format="csc"), fit)  # fmt: skip
+        within = [
+            part.effect
+            for part, values, where in zip(fit.parts, fit.values, fit.slices(), strict=True)
+            if not record_of(part.effect).healthy
+            and lies_within(explored.observation, part, values, spread[where, where])
+        ]
+        if within:
+            out[names] = frozenset(within)
+    return out
+
+
+def _of_causes(explored: Explored, chances: Probabilities) -> Probabilities:
+    """Return probabilities of effects beyond their limits: what lies within is as good as none."""
+    if not explored.within:
+        return chances
+    effects: dict[str, float] = {}
+    none = chances.none
+    for one, chance in zip(explored.scored, chances.hypotheses, strict=True):
+        beyond = explored.beyond(one.names)
+        none += chance if one.names and not beyond else 0.0
+        for name in beyond:
+            effects[name] = min(1.0, effects.get(name, 0.0) + chance)
+    return replace(chances, none=min(1.0, none), effects=effects)
+
+
+def _in_budget(explored: Explored, verdict: Verdict, best: Hypothesis | None) -> Hypothesis:
+    """Return the fit whose effects, and what a healthy arm has, the gap is made of."""
+    if verdict in ("identified", "ambiguous") and best is not None:
+        return best
+    within = {names for names in explored.within if not explored.beyond(names)}
+    fits = [one for one in explored.found.hypotheses if frozenset(one.names) in within]
+    none = explored.found.none
+    return max(fits, key=lambda one: one.log_bayes, default=none) if verdict == NONE else none
 
 
 def _verdict(explored: Explored, chances: Probabilities) -> tuple[Verdict, Hypothesis | None]:
     sets = _sets(explored, chances)
-    best = next(
-        (fit for _, names in sets if (fit := _fitted(explored.found, names)) is not None), None
-    )
+    best = next((fit for _, names in sets if (fit := _fitted(explored, names)) is not None), None)
     if best is None or chances.none >= max(NO_GAP, chances.unknown):
         return ("unknown" if chances.unknown > chances.none else "none"), None
     if chances.unknown >= 0.5:
         return "unknown", best
     # Effects of equal columns hide behind one name: `_causes` lists them.
-    names = frozenset(best.names)
+    names = explored.beyond(best.names)
     sure = sets[0][0] >= SURE and sets[0][1] == names and names not in explored.alike
     return ("identified" if sure else "ambiguous"), best
 
@@ -253,7 +344,7 @@ def _causes(
     fits = [best]
     if verdict == "ambiguous":
         for chance, names in _sets(explored, chances):
-            fit = _fitted(found, names)
+            fit = _fitted(explored, names)
             if chance >= _LISTED and fit is not None and fit is not best:
                 fits.append(fit)
     for number, fit in enumerate(fits):
@@ -261,7 +352,7 @@ def _causes(
         spread = covariance(explored.observation, found.behind, off, fit)
         found_parameters = parameters(explored.observation, fit, spread)
         for index, (part, named) in enumerate(zip(fit.parts, found_parameters, strict=True)):
-            if part.effect in causes:
+            if part.effect in causes or part.effect not in explored.beyond(fit.names):
                 continue
             closed = gap.fraction if number == 0 and len(fit.parts) == 1 else None
             joint = named.pop("joint", None)
@@ -323,12 +414,11 @@ def _next(explored: Explored, chances: Probabilities, verdict: Verdict) -> Exper
     """Return the experiment for the fits that are left, where more than one is."""
     if verdict != "ambiguous":
         return None
-    found = explored.found
     left = []
     for whole, names in _sets(explored, chances)[:3]:
         alike = (names, *explored.alike.get(names, ()))
         chance = whole / len(alike)
-        fits = [fit for one in alike if (fit := _fitted(found, one)) is not None]
+        fits = [fit for one in alike if (fit := _fitted(explored, one)) is not None]
         if chance >= _LISTED:
             left += [Alternative(fit.effects, chance, _full_covariance(fit)) for fit in fits]
     if len(left) < 2:

@@ -168,15 +168,21 @@ def covariance(
     own = beside.left(columns)
     precision = own.T @ columns + np.diag(np.maximum(np.diag(prior), 0.0))
     laplace = np.linalg.pinv(0.5 * (precision + precision.T), hermitian=True)
-    left = beside.left(hypothesis.raw_rows)
-    blocks = observation.rows.block
-    order = np.argsort(blocks, kind="stable")
-    edges = np.flatnonzero(np.diff(blocks[order])) + 1
+    return sandwich(observation.rows.block, own, beside.left(hypothesis.raw_rows), laplace)
+
+
+def sandwich(block: np.ndarray, own: Array, left: Array, laplace: Array) -> Array:
+    """Return Laplace's covariance (p, p), widened to the sandwich's deviations where they are more.
+
+    block (N,); own (N, p): columns less what the background takes of them; left (N,): rows.
+    """
+    order = np.argsort(block, kind="stable")
+    edges = np.flatnonzero(np.diff(block[order])) + 1
     weighted = own[order] * left[order, None]
     scores = np.add.reduceat(weighted, np.concatenate([[0], edges]), axis=0)
     bread = laplace @ scores.T
-    sandwich = np.einsum("ij,ij->i", bread, bread)
-    widen = np.sqrt(np.maximum(sandwich / np.maximum(np.diag(laplace), 1e-300), 1.0))
+    squares = np.einsum("ij,ij->i", bread, bread)
+    widen = np.sqrt(np.maximum(squares / np.maximum(np.diag(laplace), 1e-300), 1.0))
     return np.asarray(laplace * np.outer(widen, widen))
 
 
@@ -185,21 +191,28 @@ def parameters(
 ) -> list[dict[str, Any]]:
     """Return of each effect the contract's parameters with intervals."""
     generator = np.random.default_rng(_PARAMETER_SEED)
-    out = []
-    for part, values, where, effect in zip(
-        hypothesis.parts, hypothesis.values, hypothesis.slices(), hypothesis.effects, strict=True
-    ):
-        root, named_by = _root(spread[where, where]), record_of(part.effect).parameters
-        drawn = [
-            part.at(values + root @ generator.standard_normal(len(values))) for _ in range(_DRAWS)
-        ]
-        draws = [named_by(observation, one) for one in drawn]
-        named = {
-            name: _interval(part, name, value, [draw[name] for draw in draws])
-            for name, value in named_by(observation, effect).items()
-        }
-        out.append(named)
-    return out
+    each = zip(hypothesis.parts, hypothesis.values, hypothesis.slices(), strict=True)
+    return [
+        parameters_of(observation, part, values, drawn(values, spread[where, where], generator))
+        for part, values, where in each
+    ]
+
+
+def drawn(values: Array, spread: Array, generator: np.random.Generator) -> Array:
+    """Draw numbers (n, p) about values (p,) with a covariance (p, p)."""
+    return np.asarray(values + generator.standard_normal((_DRAWS, len(values))) @ _root(spread))
+
+
+def parameters_of(
+    observation: Observation, part: Candidate, values: Array, numbers: Array
+) -> dict[str, Any]:
+    """Return the contract's parameters of one effect, with intervals by draws (n, p)."""
+    named_by = record_of(part.effect).parameters
+    draws = [named_by(observation, part.at(one)) for one in numbers]
+    return {
+        name: _interval(part, name, value, [draw[name] for draw in draws])
+        for name, value in named_by(observation, part.at(values)).items()
+    }
 
 
 def _root(spread: Array) -> Array:

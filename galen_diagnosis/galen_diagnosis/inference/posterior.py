@@ -70,6 +70,8 @@ def load_settings() -> Settings:
 
 _INPUTS_FREE = 0.8
 _FULL, _REST = 30.0, 0.1
+_ROUGH_SCALES = (0.1, 0.3, 1.0)
+"""Of what a drift does between its knots, over what it does from knot to knot."""
 _AS_LIKELY = 10.0
 APART = 3.3
 """Two causes nearer than this in units of the noise can't be distinguished (study of diagnosis)."""
@@ -128,18 +130,19 @@ def weighed(found: Found, discrepancies: Discrepancies) -> list[Weighed]:
         shown = discrepancies.signatures(one)
         off, rough = discrepancies.of(one, shown)
         gain, cost = gain_and_cost(found.behind, off, one.raw_rows)
-        log_rough = 0.0
-        if rough.shape[1]:
-            more = gain_and_cost(found.behind, hstack([off, rough], format="csc"), one.raw_rows)
-            log_rough = more[0] - more[1] - (gain - cost)
-            if log_rough > 0.0:
-                gain, cost = more
-            else:
-                rough, log_rough = rough[:, :0], 0.0
+        log_rough, rougher = 0.0, rough[:, :0]
+        for scale in _ROUGH_SCALES if rough.shape[1] else ():
+            columns = hstack([off, scale * rough], format="csc")
+            more = gain_and_cost(found.behind, columns, one.raw_rows)
+            log = more[0] - more[1] - (gain - cost) - np.log(len(_ROUGH_SCALES))
+            if log > log_rough:
+                log_rough, rougher, best = log, scale * rough, more
+        if log_rough > 0.0:
+            gain, cost = best
         occam = 0.5 * (found.none.cost - one.cost) - one.log_bayes
         log_bayes = one.log_bayes + gain - cost
         left, occam = one.cost - 2.0 * gain, occam * _counted(one) + cost
-        out.append(Weighed(one, shown, off, rough, left, occam, log_bayes, log_rough))
+        out.append(Weighed(one, shown, off, rougher, left, occam, log_bayes, log_rough))
     for of in tuple(out):
         if len(of.shown) > 1:
             _excuse(out, of)

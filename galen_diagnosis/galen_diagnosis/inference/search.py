@@ -1,8 +1,8 @@
-"""Which effects explain a recording: singles, pairs and triples, by forward selection.
+"""Which effects explain a recording: one, two, as many as the data resolve, by forward selection.
 
 Every form of every effect is judged by its linear evidence first; the likeliest are fitted on the
 simulator (`refine.py`). To the best of them every other effect is added, again linearly first, and
-the best pairs are fitted; triples grow from pairs in the same way.
+the best pairs are fitted; sets of more grow from the best in the same way.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ _IDLE = 9.0
 _BEHIND = 0.4
 """Part of the likeliest single effect's evidence below which no pair is grown from another one, and
 no general effect is fitted."""
-_SINGLES, _PAIRS_FROM, _PAIRS, _TRIPLES = 7, 3, 4, 1
+_SINGLES, _PAIRS_FROM, _PAIRS, _MORE = 7, 3, 4, 1
+_MOST_TOGETHER = 8
 
 
 @dataclass(frozen=True)
@@ -71,11 +72,16 @@ def search(observation: Observation, progress: Progress | None = None) -> Found:
     seeds = _best(singles, _PAIRS_FROM)
     seeds = [one for one in seeds if one.log_bayes > _BEHIND * seeds[0].log_bayes]
     pairs = _grown(observation, forms, seeds, singles, _PAIRS, none.cost)
-    say("three together", 0.85)
+    hypotheses, larger = [none, *singles, *pairs], pairs
     top = max((single.log_bayes for single in singles), default=0.0)
-    best_pairs = _best([pair for pair in pairs if pair.log_bayes > top + _WORTH], 1)
-    triples = _grown(observation, forms, best_pairs, singles, _TRIPLES, none.cost)
-    hypotheses = [none, *singles, *pairs, *triples]
+    for count in range(3, _MOST_TOGETHER + 1):
+        better = _best([one for one in larger if one.log_bayes > top + _WORTH], 1)
+        if not better:
+            break
+        say(f"{count} together", 0.85)
+        top = better[0].log_bayes
+        larger = _grown(observation, forms, better, singles, _MORE, none.cost)
+        hypotheses += larger
     hypotheses += _pruned(observation, forms, hypotheses, none.cost)
     ordered = tuple(sorted(hypotheses, key=lambda hypothesis: -hypothesis.log_bayes))
     return Found(forms, ordered, _by_effect(judged), none)
@@ -102,8 +108,11 @@ def _shortlist(
         number, most_forms = taken.get(candidate.effect, 0), record_of(candidate.effect).most_forms
         if number >= most_forms or (number == 0 and len(taken) >= most):
             continue
+        begun, start = _begun(candidate, found.theta)
+        if candidate.linear == 1 and np.array_equal(start, begun.start):
+            continue  # within its bounds it can't do what is seen
         taken[candidate.effect] = number + 1
-        out.append((found.log_bayes, *_begun(candidate, found.theta)))
+        out.append((found.log_bayes, begun, start))
     return out
 
 

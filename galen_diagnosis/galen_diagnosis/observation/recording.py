@@ -6,6 +6,7 @@ Nothing else in its directory is opened.
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -46,9 +47,11 @@ from galen_sim_driver.effects.sensor import AxisGain, SensorMountRotation
 
 from galen_diagnosis.observation.rows import BAGS
 from galen_diagnosis.observation.specification import (
+    CALIBRATED,
+    DEFAULT,
     SPECIFICATION_FILE,
     Specification,
-    read_specification,
+    specification_of,
 )
 
 RECORDING_FILES = ("tool.json", ARM_FILE, SPECIFICATION_FILE)
@@ -92,12 +95,31 @@ class BagData:
     base_marker: Track | None
 
 
+DAY_TO_DAY = 0.05
+"""Of what a specification allows an arm may change from day to day."""
+
+
+@dataclass(frozen=True)
+class Earlier:
+    """What earlier recordings of the arm say of it.
+
+    names: of them. effects: the arm's own deviations and causes that were there. keys (n,), with
+    covariance (n, n): the forms of the deviations' numbers, which may still be off.
+    """
+
+    names: tuple[str, ...]
+    effects: tuple[Effect, ...]
+    keys: tuple[tuple[str, str], ...]
+    covariance: Array
+
+
 @dataclass(frozen=True)
 class DiagnosticRecording:
     """Bags by name, in the contract's order, of an arm; `missing` names those that aren't there.
 
     inertial_forces: whether the nominal model has those of tool and adapter. specification: of the
-    arm and its instruments, None where none is given.
+    arm and its instruments. earlier: what is known of the arm from others, None where it is not
+    compared.
     """
 
     name: str
@@ -106,8 +128,9 @@ class DiagnosticRecording:
     missing: tuple[str, ...]
     problems: tuple[str, ...]
     arm: Arm
+    specification: Specification
     inertial_forces: bool = False
-    specification: Specification | None = None
+    earlier: Earlier | None = None
 
     @property
     def inertia_kg_m2(self) -> Array | None:
@@ -124,10 +147,12 @@ class DiagnosticRecording:
 
     @property
     def nominal_effects(self) -> tuple[Effect, ...]:
-        """The mounting that the calibration file has, as effects that the nominal model has too.
+        """Effects that the nominal model has too; one that is found comes on top of them."""
+        return (*self.mounted_effects, *(self.earlier.effects if self.earlier else ()))
 
-        An effect that is found comes on top of it.
-        """
+    @property
+    def mounted_effects(self) -> tuple[Effect, ...]:
+        """The mounting that the calibration file has, as effects."""
         mounting = self.tool.mounting
         if mounting is None:
             return ()
@@ -143,7 +168,9 @@ class DiagnosticRecording:
     @property
     def nominal(self) -> str:
         """The nominal model in words."""
-        mounted = " with the mounting of the calibration file" if self.nominal_effects else ""
+        mounted = " with the mounting of the calibration file" if self.mounted_effects else ""
+        if self.earlier is not None:
+            mounted += f", and the arm as in {', '.join(self.earlier.names)}"
         if not self.inertial_forces:
             return f"gravity{mounted}"
         of = "two points at their centres" if self.tool.inertia is None else "the calibration file"
@@ -160,16 +187,17 @@ def read_recording(
     *,
     inertial_forces: bool = False,
     wrench_frame: str = "sensor",
-    specification: str | os.PathLike[str] | None = None,
+    specification: Sequence[str | os.PathLike[str]] = (),
 ) -> DiagnosticRecording:
     """Read a recording's directory; raises GalenError.
 
     The arm is that of `arm.urdf` in it, or of `robot_description` in its bags, else the Galen.
     tool: the tool's file, where it isn't the directory's own tool.json. inertial_forces: the
     nominal model has those of tool and adapter, with the file's masses. wrench_frame: "sensor", or
-    "base" where wrenches are written in the base's axes. specification: a file, where it isn't the
-    directory's own specification.json. Missing bags are named in
-    `missing`; without any there is nothing to diagnose.
+    "base" where wrenches are written in the base's axes. specification: files and presets, where it
+    isn't the directory's own specification.json; else the Galen is a carefully calibrated arm, and
+    any other a usual one. Missing bags are named in `missing`; without any there is nothing to
+    diagnose.
     """
     path = Path(path)
     if not any((path / name).exists() for name in BAGS):
@@ -210,18 +238,16 @@ def read_recording(
         missing,
         tuple(problems),
         robot,
-        inertial_forces,
         _specification(path, specification, robot),
+        inertial_forces,
     )
 
 
-def _specification(
-    path: Path, given: str | os.PathLike[str] | None, arm: Arm
-) -> Specification | None:
-    file = path / SPECIFICATION_FILE if given is None else Path(given)
-    if given is None and not file.exists():
-        return None
-    return read_specification(file, {**dict.fromkeys(_NOT_SOUGHT, ()), **limit_parts(arm)})
+def _specification(path: Path, given: Sequence[str | os.PathLike[str]], arm: Arm) -> Specification:
+    own = path / SPECIFICATION_FILE
+    usual = CALIBRATED if arm.joint_names == GALEN.joint_names else DEFAULT
+    known = {**dict.fromkeys(_NOT_SOUGHT), **limit_parts(arm)}
+    return specification_of(given or ([own] if own.exists() else [usual]), known)
 
 
 def require_sound_setup(recording: DiagnosticRecording) -> None:

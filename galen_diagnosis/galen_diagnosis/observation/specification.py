@@ -4,13 +4,20 @@ A limit is the largest magnitude that is within specification; 95 % of healthy p
 so that it is two standard deviations of what is fitted beside every cause.
 
     {"schema_version": 1, "name": "UR5e with an ATI Gamma", "source": "data sheets",
-     "limits": {EFFECT: 0.01, EFFECT: {JOINT OR AXIS: 0.001, "default": 0.002}}}
+     "limits": {EFFECT: 0.01, EFFECT: {JOINT OR AXIS: 0.001, "default": 0.002}},
+     "sources": {EFFECT: "where its number is from"}}
+
+What a file doesn't name is as in the preset `default`. A data sheet's "u of full scale" bounds the
+reading's error at full load F: a gain of u, a coefficient of u / F of the square, a crosstalk from
+an axis of full load F to one of G of u G / F.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -27,18 +34,25 @@ from galen_model.json_fields import (
 
 SPECIFICATION_FILE = "specification.json"
 DEFAULT = "default"
-"""Of a limit that is a map: what holds of the joints and axes that it doesn't name."""
+"""The preset of a usual arm; of a limit that is a map: of the joints and axes it doesn't name."""
+CALIBRATED = "galen"
+"""The preset of a carefully calibrated arm: what it doesn't name is there or not."""
 
+_PRESETS = Path(str(files(__package__))) / "specifications"
 _VERSION, _MAX_BYTES = 1, 100_000
 
 
 @dataclass(frozen=True)
 class Specification:
-    """Limits by effect, each one number for all joints and axes or a map by name."""
+    """Limits by effect, each one number for all joints and axes or a map by name.
+
+    sources: where an effect's limit is from, as far as that is known.
+    """
 
     name: str
     source: str
     limits: Mapping[str, Mapping[str, float]]
+    sources: Mapping[str, str] = field(default_factory=dict)
 
     def limit(self, effect: str, part: str = DEFAULT) -> float | None:
         """Return an effect's limit at a joint or an axis; None where it has none."""
@@ -54,18 +68,66 @@ class Specification:
         known = [limit for limit in limits if limit is not None]
         return tuple(limit / 2.0 for limit in known) if len(known) == len(limits) else None
 
+    def scaled(self, factor: float, words: str) -> Specification:
+        """Return the same limits times a factor; words: before the name."""
+        limits = {
+            effect: {part: factor * limit for part, limit in by_part.items()}
+            for effect, by_part in self.limits.items()
+        }
+        return replace(self, name=words + self.name, limits=limits)
 
-def read_specification(path: Path, known: Mapping[str, tuple[str, ...]]) -> Specification:
-    """Read a specification.
+    def over(self, other: Specification) -> Specification:
+        """Return these limits and, of effects and parts without one, another's."""
+        both: dict[str, Mapping[str, float]] = {
+            effect: {**other.limits.get(effect, {}), **self.limits.get(effect, {})}
+            for effect in {**other.limits, **self.limits}
+        }
+        # A number for all parts comes before another's number for one.
+        both |= {name: own for name, own in self.limits.items() if DEFAULT in own}
+        return replace(self, limits=both, sources={**other.sources, **self.sources})
+
+
+def presets() -> tuple[str, ...]:
+    """Return the names of all presets."""
+    return tuple(sorted(path.stem for path in _PRESETS.glob("*.json")))
+
+
+def path_of(given: str | os.PathLike[str]) -> Path:
+    """Return the file of a preset, by its name, or of a path."""
+    return _PRESETS / f"{given}.json" if str(given) in presets() else Path(given)
+
+
+def specification_of(
+    given: Sequence[str | os.PathLike[str]], known: Mapping[str, tuple[str, ...] | None]
+) -> Specification:
+    """Return what files and presets say together, the first before the others.
 
     Args:
-        path: the file.
-        known: by effect that has a limit, the names that a map of its limits may have.
+        given: files, and names of presets.
+        known: by effect that has a limit, the names that a map of it may have; None for any.
 
     Raises:
         GalenError: naming the file and the key.
 
     """
+    found = [_read(one, known) for one in given]
+    if not any(str(one) in (DEFAULT, CALIBRATED) for one in given):
+        found.append(_read(DEFAULT, known))
+    whole = found[-1]
+    for one in reversed(found[:-1]):
+        whole = one.over(whole)
+    named = found[: len(given)] or found
+    return replace(
+        whole,
+        name=" and ".join(one.name for one in named),
+        source="; ".join(dict.fromkeys(one.source for one in named if one.source)),
+    )
+
+
+def _read(
+    given: str | os.PathLike[str], known: Mapping[str, tuple[str, ...] | None]
+) -> Specification:
+    path = path_of(given)
     try:
         content = mapping(read_json(path, _MAX_BYTES, "a specification"), "the file")
         check_version(content, _VERSION)
@@ -76,20 +138,25 @@ def read_specification(path: Path, known: Mapping[str, tuple[str, ...]]) -> Spec
                     f"limits.{effect} is no effect that has a limit; known: {', '.join(known)}"
                 )
             by_part = value if isinstance(value, Mapping) else {DEFAULT: value}
+            names_of = known[effect]
             for part in by_part:
-                if part not in (*known[effect], DEFAULT):
-                    names = ", ".join((*known[effect], DEFAULT))
+                if names_of is not None and part not in (*names_of, DEFAULT):
+                    names = ", ".join((*names_of, DEFAULT))
                     raise FieldError(f"limits.{effect}.{part} is not known; known: {names}")
             limits[effect] = {
                 part: _positive(limit, f"limits.{effect}.{part}") for part, limit in by_part.items()
             }
+        sources = mapping(content.get("sources", {}), "sources")
         return Specification(
             sentence(content.get("name", path.name), "name"),
             sentence(content.get("source", ""), "source"),
             limits,
+            {effect: sentence(text, f"sources.{effect}") for effect, text in sources.items()},
         )
     except OSError as error:
-        raise GalenError(f"{path}: can't be read: {error.strerror}") from error
+        raise GalenError(
+            f"{path}: can't be read: {error.strerror}; presets: {', '.join(presets())}"
+        ) from error
     except FieldError as error:
         raise GalenError(f"{path}: {error}") from error
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import matplotlib
@@ -13,15 +14,20 @@ from galen_model.arrays import Array
 from galen_model.files.atomic_file import save_figure
 from matplotlib.colors import LogNorm
 from matplotlib.patches import Rectangle
+from matplotlib.ticker import PercentFormatter
 
-from galen_diagnosis.answer.answer import Diagnosis
+from galen_diagnosis.answer.answer import RESIDUAL, Answer, BudgetItem, Diagnosis, Interval
 from galen_diagnosis.answer.localization import (
     LEVEL,
     by_regime_of_bag,
     cell_scores,
 )
 from galen_diagnosis.observation.rows import BAGS, CHANNELS, REGIMES, group_of
+from galen_diagnosis.report.words import title
 
+_STANDINGS = {"within": "#009e73", "undecided": "#e69f00", "beyond": "#d55e00"}
+_OTHER = "0.6"
+_LEAST_RATIO = 0.01
 _MEASURED, _FOUND, _LEFT = "0.35", "#0072b2", "#e69f00"
 _POINTS = 180
 _PANELS = 2
@@ -42,10 +48,71 @@ _DARK = 0.55
 def write_pictures(diagnosis: Diagnosis, folder: Path) -> dict[str, Path]:
     """Write all pictures that the recording has data for; their names to their files."""
     written = {}
+    if diagnosis.answer.budget:
+        written["budget"] = save_figure(budget_figure(diagnosis.answer), folder / "budget.png")
     if diagnosis.streams_before:
         written["answer"] = save_figure(answer_figure(diagnosis), folder / "answer.png")
     written["gap"] = save_figure(gap_figure(diagnosis), folder / "gap.png")
     return written
+
+
+# What the gap is made of
+
+
+def budget_figure(answer: Answer) -> plt.Figure:
+    """Draw the gap from the whole down to the noise, a bar an effect, and numbers over limits."""
+    items = sorted(answer.budget, key=lambda one: (one.label == RESIDUAL, -one.share.value))
+    figure, (bars, sizes) = plt.subplots(
+        1, 2, figsize=(11, 1.5 + 0.42 * len(items)), sharey=True, width_ratios=(3, 2)
+    )
+    above = 1.0
+    for row, one in enumerate(items):
+        colour = _STANDINGS.get(one.standing or "", _OTHER)
+        share = one.share
+        bars.barh(row, share.value, left=above - share.value, color=colour, height=0.62)
+        above -= share.value
+        if row + 1 < len(items):
+            bars.plot([above, above], [row - 0.31, row + 1.31], color="0.5", lw=0.8)
+        bars.text(1.02, row, f"{share.value:.1%}", va="center", fontsize=9)
+        for number, limit in _limited(one):
+            low, high = (0.0 if end is None else end for end in number[1:])
+            ends = np.abs([low, high]) / limit
+            reach = (0.0 if low * high < 0.0 else ends.min(), ends.max())
+            sizes.plot(np.maximum(reach, _LEAST_RATIO), [row, row], color=colour, lw=1.6)
+            sizes.plot(max(abs(number.value) / limit, _LEAST_RATIO), row, "o", color=colour, ms=5)
+    bars.set_yticks(range(len(items)), [_budget_title(one) for one in items])
+    bars.invert_yaxis()
+    bars.axvline(0.0, color="black", lw=0.8)
+    bars.set_xlabel("share of the whole gap: 0 is the noise floor")
+    bars.xaxis.set_major_formatter(PercentFormatter(1.0))
+    bars.set_xlim(min(0.0, above) - 0.02, 1.13)
+    sizes.set_xscale("log")
+    sizes.axvline(1.0, color="black", lw=1.2)
+    sizes.text(1.0, -0.6, "limit", ha="center", va="bottom", fontsize=9)
+    sizes.set_xlabel("size over its limit, with 95 % interval")
+    sizes.set_xlim(_LEAST_RATIO, max(10.0, 1.5 * sizes.get_xlim()[1]))
+    sizes.grid(axis="x", color="0.92")
+    sizes.set_axisbelow(True)
+    names = [plt.Line2D([], [], color=c, lw=5, label=n) for n, c in _STANDINGS.items()]
+    names.append(plt.Line2D([], [], color=_OTHER, lw=5, label="no limit, or no effect"))
+    figure.legend(handles=names, loc="upper right", ncol=4, fontsize=9, frameon=False)
+    _margins(figure, 2.6, 0.2, 0.55, 0.55, 0.06)
+    return figure
+
+
+def _budget_title(one: BudgetItem) -> str:
+    name = "residual" if one.label == RESIDUAL else title(one.label)
+    ends = [str(one.parameters[end]) for end in ("from", "to") if end in one.parameters]
+    return f"{name}, {' to '.join(ends)}" if ends else name
+
+
+def _limited(one: BudgetItem) -> Iterator[tuple[Interval, float]]:
+    """Yield an effect's limited numbers, each with its limit."""
+    for name, limit in one.limits.items():
+        value = one.parameters[name]
+        numbers = value if isinstance(value, list | tuple) else [value]
+        limits = limit if isinstance(limit, list) else [limit] * len(numbers)
+        yield from zip(numbers, limits, strict=True)
 
 
 # Where

@@ -23,11 +23,14 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from galen_diagnosis.answer.answer import NONE, UNKNOWN, Answer
+from galen_diagnosis.answer.answer import NONE, RESIDUAL, UNKNOWN, Answer
 from galen_diagnosis.answer.localization import LEVEL
+from galen_diagnosis.observation.specification import Specification
 from galen_diagnosis.report.words import (
     RANKING_NOTE,
     VERDICTS,
+    limit_of_parameter,
+    limit_words,
     missed_words,
     next_steps,
     p_words,
@@ -48,6 +51,8 @@ _SHOWN_PROBABILITY = 0.005
 _RANKED = 6
 _PLACES = 4
 _CAPTIONS = {
+    "budget": "What the whole gap between measured and nominal is made of, on blocks that no fit"
+    " has seen: from all of it down to the noise. Right: each number over its limit.",
     "answer": "Measured less nominal, and what was found, in the channels that show it most"
     " clearly. Grey is noise alone; what the tolerances of a healthy arm add to it is no gap.",
     "gap": "RMS residual over the noise before, and after the cause was added to the simulator, on"
@@ -70,6 +75,7 @@ def report(answer: Answer, pictures: Mapping[str, Path]) -> str:
         steps=next_steps(answer),
         tested=[PageRow((title(one.label), missed_words(one))) for one in answer.tested],
         causes=[PageRow(cells) for cells in _causes(answer)],
+        budget=[PageRow(cells) for cells in _budget(answer)],
         closed=share_words(answer.gap.get("closed_fraction")),
         gap=[PageRow(cells) for cells in _gap(answer.gap)],
         ranking_note=RANKING_NOTE,
@@ -97,6 +103,22 @@ def _causes(answer: Answer) -> Iterator[tuple[str, ...]]:
             words = parameter_words(cause.effect, name, cause.parameters) if name else "-"
             yield (*(first if not number else ("", "")), name, words,
                    *(last if not number else ("", "")))  # fmt: skip
+
+
+def _budget(answer: Answer) -> Iterator[tuple[str, ...]]:
+    """Return a line a parameter; the effect with its first."""
+    for one in answer.budget:
+        standing: str = one.standing or "-"
+        if one.probability_beyond is not None and standing == "undecided":
+            standing += f", {one.probability_beyond:.0%} beyond"
+        name = RESIDUAL if one.label == RESIDUAL else title(one.label)
+        first, last = (name, share_words(one.share), standing), ", ".join(one.equivalent) or "-"
+        effect = one.label.partition(":")[0]
+        for number, key in enumerate(list(one.parameters) or [""]):
+            words = parameter_words(effect, key, one.parameters) if key else "-"
+            limit = limit_of_parameter(effect, key, one) if key in one.limits else "-"
+            yield (*(first if not number else ("",) * 3), key or "-", words, limit,
+                   last if not number else "")  # fmt: skip
 
 
 def _gap(gap: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
@@ -155,6 +177,9 @@ def print_answer(answer: Answer, console: Console) -> None:
     _print_table(console, ("cause", "probability", "parameter", "value (95 % interval)",
                            "alone closes", "not distinguishable from"),
                  [(*cells[:5], _few(cells[5])) for cells in _causes(answer)])  # fmt: skip
+    _print_table(console, ("of the whole gap", "share", "by the specification", "parameter",
+                           "value (95 % interval)", "limit"),
+                 [cells[:6] for cells in _budget(answer)])  # fmt: skip
     ranked = [(name, f"{p:.1%}") for name, p in answer.ranking[:_RANKED]]
     _print_table(console, ("cause alone or with others", "probability that it is there"), ranked)
     console.print(RANKING_NOTE)
@@ -175,6 +200,16 @@ def print_answer(answer: Answer, console: Console) -> None:
     for what, texts in (("not identifiable", answer.cannot_tell), ("problem", answer.problems)):
         for text in texts:
             console.print(f"{what}: {escape(text)}")
+
+
+def print_specification(given: Specification, console: Console) -> None:
+    """Print limits, each with its source."""
+    console.print(f"[bold]{escape(given.name)}[/bold]  {escape(given.source)}")
+    rows = [
+        (effect, limit_words(effect, by_part), given.sources.get(effect, "-"))
+        for effect, by_part in given.limits.items()
+    ]
+    _print_table(console, ("effect", "limit", "source"), rows)
 
 
 def _print_table(console: Console, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

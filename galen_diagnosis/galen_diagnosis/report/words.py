@@ -3,30 +3,34 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from galen_model.arm.galen import WRENCH_AXES
+from galen_sim_driver.effects.registry import EFFECTS
 
 from galen_diagnosis.answer.answer import (
     NONE,
+    RESIDUAL,
     SURE,
     UNKNOWN,
     Answer,
+    BudgetItem,
     Excluded,
     FoundCause,
     Interval,
 )
 from galen_diagnosis.effects.registry import RECORDS
 from galen_diagnosis.observation.recording import DiagnosticRecording
+from galen_diagnosis.observation.specification import DEFAULT
 
 RANKING_NOTE = (
     "Each probability is that of one cause being there; several can be there together, so they"
     " need not add up to 100 %."
 )
 VERDICTS = {
-    NONE: "No gap",
+    NONE: "Within specification",
     "identified": "Cause found",
     "ambiguous": "Several causes are possible",
     UNKNOWN: "A gap without a known cause",
@@ -221,6 +225,52 @@ def _bare(value: Any) -> Any:
 # The sentence
 
 
+_LIMIT_UNITS: dict[str, _Unit] = {
+    "rad": (1e3, " mrad"),
+    "m": (1e3, " mm"),
+    "kg": (1e3, " g"),
+    "s": (1e3, " ms"),
+    "N": (1.0, " N"),
+    "": (100.0, " %"),
+}
+_LIMIT_PARTS = {"force_N_per_hour": (1.0, " N/h"), "torque_Nm_per_hour": (1e3, " mN.m/h")}
+
+
+def limit_words(effect: str, by_part: Mapping[str, float]) -> str:
+    """Write a specification's limits of an effect, of its parts where they differ."""
+    unit = EFFECTS[effect].fitted[0].unit
+    words = {}
+    for part, limit in by_part.items():
+        factor, name = _LIMIT_PARTS.get(part, _LIMIT_UNITS.get(unit, (1.0, f" {unit}")))
+        words[part] = f"{limit * factor:.4g}{name}"
+    others = [f"{part} {text}" for part, text in words.items() if part != DEFAULT]
+    return ", ".join(([words[DEFAULT]] if DEFAULT in words else []) + others)
+
+
+def limit_of_parameter(effect: str, name: str, of: BudgetItem) -> str:
+    """Write a budget's limits of a parameter in the parameter's unit, one where all are alike."""
+    limit = of.limits[name]
+    each = limit if isinstance(limit, list) else [limit]
+    axes = _AXES[len(each)] if len(each) in _AXES else ("",) * len(each)
+    words = []
+    for axis, one in zip(axes, each, strict=True):
+        exact = {**of.parameters, name: Interval(one, None, None)}
+        if len(each) > 1:
+            exact["axis"] = axis
+        words.append(parameter_words(effect, name, exact))
+    return ", ".join(dict.fromkeys(words))
+
+
+def _made_of(answer: Answer) -> str:
+    """Return what is left of the gap, its largest parts first."""
+    known = [one for one in answer.budget if one.label != RESIDUAL][:_MOST_PARTS]
+    if not known:
+        return ""
+    parts = ", ".join(f"{title(one.label)} {one.share.value:.0%}" for one in known)
+    return f" What the nominal model leaves is made of: {parts}."
+
+
+_MOST_PARTS = 3
 _MOST_TWINS = 6
 
 
@@ -229,16 +279,13 @@ def sentence(answer: Answer) -> str:
     chances = dict(answer.ranking)
     if answer.verdict == NONE:
         chance = probability_words(chances.get(NONE, 0.0))
-        if answer.specification is not None:
-            name = answer.specification["name"]
-            return (
-                f"Within specification ({name}): what the nominal model leaves is noise and what"
-                f" the limits allow, probability {chance}."
-            )
-        return (
-            "No gap beyond noise and a healthy arm's tolerances: the nominal model holds,"
-            f" probability {chance}."
-        )
+        if answer.specification is None:  # of a table
+            return f"No gap beyond noise: the nominal model holds, probability {chance}."
+        name = answer.specification["name"]
+        if answer.reference:
+            since = ", ".join(answer.reference)
+            return f"Unchanged since {since} but for {name}, probability {chance}."
+        return f"Within specification ({name}), probability {chance}.{_made_of(answer)}"
     if answer.verdict == UNKNOWN:
         text = (
             f"There is a gap that no effect on the list explains{_best_of_list(answer)},"
@@ -249,7 +296,8 @@ def sentence(answer: Answer) -> str:
         return text
     causes = [cause for cause in answer.causes if cause.effect != UNKNOWN]
     words = _ambiguous if answer.verdict == "ambiguous" else _identified
-    text = words(causes, _closed(answer.gap))
+    text = f"Since {', '.join(answer.reference)}: " if answer.reference else ""
+    text += words(causes, _closed(answer.gap))
     if len(causes) < len(answer.causes):
         text += " The rest is more than noise, and unknown."
     return text + " Brackets: 95 % intervals."
@@ -347,14 +395,14 @@ def data_words(recording: DiagnosticRecording) -> tuple[tuple[str, str], ...]:
         for name, bag in recording.bags.items()
     )
     tool, limits = recording.tool, recording.specification
-    of = f" ({limits.source})" if limits is not None and limits.source else ""
+    of = f" ({limits.source})" if limits.source else ""
     return (
         ("recording", recording.name),
         ("bags", ", ".join(bags)),
         ("arm", recording.arm.name),
         ("calibration file", f"{tool.tool}, of {tool.calibrated_at}"),
         ("nominal model", recording.nominal),
-        ("specification", f"{limits.name}{of}" if limits else "a carefully calibrated arm's"),
+        ("specification", f"{limits.name}{of}"),
         ("program", f"galen_diagnosis {_version()}"),
     )
 

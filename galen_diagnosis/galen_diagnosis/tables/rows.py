@@ -33,6 +33,7 @@ from galen_diagnosis.effects.table_data import JointTerms, TablePlant
 from galen_diagnosis.observation.noise import ChannelNoise, channel_noise
 
 _FEWEST_BLOCKS = 4
+_REWEIGHTED, _LEAST_FREEDOM = 3, 2.0
 _SAME_GRAVITY_RAD = 0.03
 _WIDE = np.array([10.0, 1.0, 1.0, 1.0, *[100.0] * 3, *[10.0] * 3])
 """Mass (kg), first moments (kg.m), constants: nothing is known of them."""
@@ -59,11 +60,13 @@ def prepare_table(
     noise: Array | None = None,
     tool: CalibrationFile | None = None,
     window_s: float = 1.0,
+    references: Sequence[OrientationTable] = (),
 ) -> tuple[BlockRows, Effects, tuple[str, ...]]:
     """Return rows and effects of a table, and notes on how they were made.
 
-    noise (n, 6): readings of the same sensor, still and untouched. Raises GalenError where the
-    table can't be used.
+    noise (n, 6): readings of the same sensor, still and untouched. references: earlier tables of
+    the same sensor and load: nominal is the load that fits them, the floor what it leaves of them.
+    Raises GalenError where the table can't be used.
     """
     if table.time is not None and table.block is None:
         floor: Floor | None = _floor_at_rest(table, window_s)
@@ -83,7 +86,11 @@ def prepare_table(
             f"{table.path}: {len(labels)} blocks of readings; holding some out takes"
             f" {_FEWEST_BLOCKS}"
         )
-    plant, nominal = _nominal(averaged, tool)
+    if references:
+        earlier = [_averaged(one, window_s) for one in references]
+        plant, nominal, floor = _nominal_since(averaged, earlier)
+    else:
+        plant, nominal = _nominal(averaged, tool)
     residual = averaged.wrench - plant.reading()
     known = floor is not None
     if floor is None:
@@ -107,7 +114,8 @@ def prepare_table(
     )
     if not known:
         rows = replace(rows, levels=levels, memories_s=(float("inf"),))
-    plant = replace(plant, known_load=tool is not None, by_order=table.time is None)
+    known_load = tool is not None or bool(references)
+    plant = replace(plant, known_load=known_load, by_order=table.time is None)
     ways = {name: record.in_table(plant) for name, record in RECORDS.items()}
     for name, record in RECORDS.items():
         if record.needs == "motion":
@@ -128,12 +136,61 @@ def _shown(nominal: Columns, ways: Mapping[str, Sequence[Columns] | str]) -> Eff
     return Effects(nominal, of, tuple(reasons))
 
 
-def _load_columns(gravity: Array, prior: Array) -> Columns:
-    """Return columns that are always fitted: moments and constants, by their prior (10,)."""
+def _load_columns(gravity: Array, root: Array) -> Columns:
+    """Return columns that are always fitted: moments, constants; root (10, 10): of their prior."""
     values = np.zeros((len(gravity), 6, 10))
     values[:, :, :4] = gravity_regressor(gravity)
     values[:, :, 4:] = np.eye(6)
-    return Columns(values * prior, {})
+    return Columns(values @ root, {})
+
+
+def _averaged(table: OrientationTable, window_s: float) -> OrientationTable:
+    if table.time is not None and table.block is None:
+        return average_still(table, window_s, DirectionRest())[0]
+    return without_repeats(table)[0].timed()
+
+
+def _nominal_since(
+    table: OrientationTable, earlier: Sequence[OrientationTable]
+) -> tuple[TablePlant, Columns, Floor]:
+    """Return the load that fits earlier tables, how far it may be off, and what it leaves of them.
+
+    Each table has its own constants: a sensor's zero changes from day to day.
+    """
+    assert table.time is not None
+    count = sum(map(len, earlier))
+    design = np.zeros((count, 6, 4 + 6 * len(earlier)))
+    first = 0
+    for number, one in enumerate(earlier):
+        rows = slice(first, first + len(one))
+        design[rows, :, :4] = gravity_regressor(one.gravity)
+        design[rows, :, 4 + 6 * number : 10 + 6 * number] = np.eye(6)
+        first += len(one)
+    wrench = np.concatenate([one.wrench for one in earlier])
+    std = np.ones(6)
+    for _ in range(_REWEIGHTED):
+        flat = (design / std[None, :, None]).reshape(-1, design.shape[2])
+        cofactor = np.linalg.pinv(flat.T @ flat, hermitian=True)
+        fitted = cofactor @ flat.T @ (wrench / std).ravel()
+        left = wrench - design @ fitted
+        used = np.einsum("nck,kl,ncl->c", design, cofactor, design) / std**2
+        if np.any(count - used < _LEAST_FREEDOM):
+            raise GalenError(
+                f"{earlier[0].path}: {count} readings are too few for a reference: with load and"
+                " zero fitted they show no noise"
+            )
+        std = np.sqrt(np.sum(left**2, axis=0) / (count - used))
+    moments = fitted[:4]
+    if not moments[0] > 0.0:
+        raise GalenError(f"{earlier[0].path}: the load would weigh {moments[0]:.3g} kg")
+    load = Load(float(moments[0]), moments[1:] / moments[0])
+    root = np.diag(_WIDE)
+    root[:4, :4] = np.linalg.cholesky(cofactor[:4, :4])
+    at_s = table.time - table.time[0]
+    weight = TablePlant(table, at_s, load, np.zeros(6)).reading()
+    plant = TablePlant(table, at_s, load, (table.wrench - weight).mean(axis=0))
+    source = f"what the load leaves of {count} readings of the reference"
+    return plant, _load_columns(table.gravity, root), Floor(std, 0.0, 1.0, source)
 
 
 def _nominal(table: OrientationTable, tool: CalibrationFile | None) -> tuple[TablePlant, Columns]:
@@ -147,7 +204,7 @@ def _nominal(table: OrientationTable, tool: CalibrationFile | None) -> tuple[Tab
                 " positive in the direction of the push?"
             )
         load = Load(float(moments[0]), moments[1:] / moments[0])
-        columns = _load_columns(table.gravity, _WIDE)
+        columns = _load_columns(table.gravity, np.diag(_WIDE))
     else:
         loads = [Load(of.mass_kg, np.asarray(of.com_m)) for of in (tool.load, tool.adapter)]
         total = loads[0].moments + loads[1].moments
@@ -155,7 +212,7 @@ def _nominal(table: OrientationTable, tool: CalibrationFile | None) -> tuple[Tab
         weight = TablePlant(table, at_s, load, np.zeros(6)).reading()
         offset = (table.wrench - weight).mean(axis=0)
         only_constants = np.concatenate([np.zeros(4), _WIDE[4:]])
-        columns = _load_columns(table.gravity, only_constants)
+        columns = _load_columns(table.gravity, np.diag(only_constants))
     return TablePlant(table, at_s, load, offset), columns
 
 

@@ -25,6 +25,9 @@ EFFECTS: dict[str, type[Effect]] = {
 }
 """Those of the contract's section 6, in its order; the compliance is that of the Galen."""
 
+LIMITED = tuple(name for name, kind in EFFECTS.items() if kind.has_limit)
+"""Effects that a specification limits."""
+
 
 def identities(arm: Arm) -> dict[str, Effect]:
     """Return all effects of an arm by identity, changing nothing.

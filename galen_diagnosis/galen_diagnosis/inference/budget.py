@@ -1,0 +1,403 @@
+"""What the whole gap is made of: every effect that the data resolve, within its limit or beyond.
+
+To the causes that were chosen, at their fitted numbers, a healthy arm's deviations are added with
+their priors, and all are fitted together to other folds than the one that they are scored on. With
+b the rows held out less the unknowns (fitted without any effect), c_k what effect k changes of them
+less what the unknowns take of that, and a what is left, b = a + sum_k c_k, so that
+
+    |b|^2 - |a|^2 = sum_k <c_k, b + a>:
+
+shares <c_k, b + a> / (|b|^2 - floor) add up to one with the residual's, (|a|^2 - floor) over the
+same. (Of two effects that change rows alike each gets half of what they do together, as of Shapley
+and of Pratt's measure; J. W. Pratt, Proc. 2nd Int. Tampere Conf. Statistics, 1987.)
+
+An effect is resolved where its numbers are not zero by chance, chi-square of their covariance.
+Several of which only one combination is resolved are one entry, with the others as equivalent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from galen_model.arrays import Array
+from galen_model.distributions import chi2_sf
+from galen_model.estimation.evidence import Background
+from scipy.sparse import csc_array
+
+from galen_diagnosis.answer.answer import RESIDUAL, BudgetItem, Interval
+from galen_diagnosis.effects.candidates import Candidate
+from galen_diagnosis.effects.forms import Tolerances
+from galen_diagnosis.effects.registry import record_of
+from galen_diagnosis.inference.gap import drawn, parameters_of, sandwich, unknowns_alone
+from galen_diagnosis.inference.refine import Hypothesis
+from galen_diagnosis.observation.observation import UNKNOWNS, Observation
+from galen_diagnosis.observation.rows import FOLDS
+from galen_diagnosis.observation.specification import Specification
+
+_RESOLVED = 1e-3
+"""Chance below which numbers are not zero."""
+_ALIKE = 0.9
+"""Correlation from which on two effects' numbers are one."""
+_DRAWS, _SEED = 400, 1987
+_WIDE = 100.0
+"""Of a cause's usual size: next to no prior."""
+_LEAST_NOISES = 3.0
+"""Standard deviations of chance that the whole gap is at least."""
+
+
+@dataclass(frozen=True)
+class _Part:
+    """An effect in one form: at values (p,) it changes the rows by `change` (N,).
+
+    places: of its numbers among all that are fitted (m,), in steps from there; which: of its values
+    each of these is (m,).
+    """
+
+    candidate: Candidate
+    values: Array
+    change: Array
+    places: np.ndarray
+    which: np.ndarray
+
+    def sums(self, numbers: Array) -> Array:
+        """Return its numbers (..., p) with all that is fitted (..., n)."""
+        out = np.broadcast_to(self.values, (*numbers.shape[:-1], len(self.values))).copy()
+        for place, k in zip(self.places, self.which, strict=True):
+            out[..., k] += numbers[..., place]
+        return out
+
+
+def budget(
+    observation: Observation,
+    behind: Background,
+    tolerances: Tolerances,
+    best: Hypothesis,
+    off: csc_array,
+    floor: float,
+) -> tuple[BudgetItem, ...]:
+    """Return what the whole gap is made of, the largest share first; () where there is none.
+
+    Args:
+        observation: what was measured.
+        behind: unknowns, places and tolerances, as they are fitted beside every cause.
+        tolerances: a healthy arm's deviations, the last columns of `behind`.
+        best: the causes that were chosen, or none.
+        off: what their models may be off, (N, M).
+        floor: mean square of a row that noise alone gives.
+
+    """
+    whole = unknowns_alone(behind).left(observation.nominal)
+    spread = _LEAST_NOISES * floor * np.sqrt(2.0 * len(whole))
+    if whole @ whole - floor * len(whole) <= spread:
+        return ()
+    together = _together(observation, behind, tolerances, best, off)
+    columns, precision, parts = together.columns, together.precision, together.parts
+    kept, names = _separable(together.gram, together.along, precision, parts)
+    mean, covariance = together.posterior(observation, best, kept)
+    shown = [part for part in parts if len(part.places) and _is_there(part, mean, covariance)]
+    shares = _shares(observation, together.beside, columns, precision, kept, best, shown, floor)
+    if shares is None:
+        return ()
+    generator = np.random.default_rng(_SEED)
+    items = [
+        _item(observation, part, mean, covariance, share, names.get(k, ()), generator)
+        for part, share, k in zip(shown, shares, map(parts.index, shown), strict=False)
+    ]
+    items.append(BudgetItem(RESIDUAL, shares[-1]))
+    return tuple(sorted(items, key=lambda one: -one.share.value))
+
+
+def tolerances_after(
+    observation: Observation,
+    behind: Background,
+    tolerances: Tolerances,
+    best: Hypothesis,
+    off: csc_array,
+) -> tuple[Array, Array]:
+    """Return a healthy arm's deviations (q,) and their covariance (q, q); arguments as of `budget`.
+
+    They are of zero mean beforehand.
+    """
+    together = _together(observation, behind, tolerances, best, off)
+    mean, covariance = together.posterior(observation, best, np.arange(len(together.gram)))
+    count = tolerances.size
+    return mean[:count], covariance[:count, :count]
+
+
+@dataclass(frozen=True)
+class _Together:
+    """All that is fitted together: columns (N, n), what is left of them, normal equations."""
+
+    columns: Array
+    precision: Array
+    parts: list[_Part]
+    beside: Background
+    known: Background
+    own: Array
+    gram: Array
+    along: Array
+
+    def posterior(
+        self, observation: Observation, best: Hypothesis, kept: np.ndarray
+    ) -> tuple[Array, Array]:
+        """Return numbers (n,) and covariance (n, n), of those that are kept; else zero."""
+        inside = np.ix_(kept, kept)
+        laplace = np.linalg.inv(self.gram[inside] + self.precision[inside])
+        mean, covariance = np.zeros(len(self.gram)), np.zeros_like(self.gram)
+        mean[kept] = laplace @ self.along[kept]
+        left = self.known.left(best.raw_rows - self.columns @ mean)
+        covariance[inside] = sandwich(observation.rows.block, self.own[:, kept], left, laplace)
+        return mean, covariance
+
+
+def _together(
+    observation: Observation,
+    behind: Background,
+    tolerances: Tolerances,
+    best: Hypothesis,
+    off: csc_array,
+) -> _Together:
+    columns, precision, parts = _joined(observation, tolerances, best)
+    first = len(behind.prior_std) - tolerances.size
+    beside = Background(behind.columns[:, :first], behind.prior_std[:first])
+    known = beside.beside(off, 1.0)
+    own = known.left(columns)
+    return _Together(
+        columns, precision, parts, beside, known, own, own.T @ columns, own.T @ best.raw_rows
+    )
+
+
+def _joined(
+    observation: Observation, tolerances: Tolerances, best: Hypothesis
+) -> tuple[Array, Array, list[_Part]]:
+    """Columns (N, n) of a healthy arm's deviations and of causes, precision (n, n), parts."""
+    prior = np.concatenate(
+        [1.0 / (_WIDE * part.typical[: len(values)]) ** 2
+         for part, values in zip(best.parts, best.values, strict=True)] or [np.zeros(0)]
+    )  # fmt: skip
+    columns = np.concatenate([tolerances.columns, best.columns], axis=1)
+    first = tolerances.size
+    precision = np.zeros((first + len(prior),) * 2)
+    precision[:first, :first] = tolerances.precision
+    precision[first:, first:] = np.diag(prior)
+    parts, taken = [], set()
+    for part, values, where, change in zip(
+        best.parts, best.values, best.slices(), _changes(observation, best), strict=True
+    ):
+        places = [*range(first + where.start, first + where.stop)]
+        which = [*range(len(values))]
+        for number, (own, place) in enumerate(tolerances.each):
+            if own.effect == part.effect and (own.label == part.label or part.wider):
+                at = [list(part.free).index(k) for k in own.free if k in part.free]
+                if len(at) == len(own.free) and type(own.base) is type(part.base):
+                    taken.add(number)
+                    places += range(place.start, place.stop)
+                    which += at
+        parts.append(_Part(part, values, change, np.array(places), np.array(which)))
+    nothing = np.zeros(len(observation.rows))
+    for number, (own, place) in enumerate(tolerances.each):
+        if number not in taken:
+            each = np.arange(place.start, place.stop)
+            parts.append(_Part(own, own.start.copy(), nothing, each, np.arange(len(each))))
+    return columns, precision, parts
+
+
+def _changes(observation: Observation, best: Hypothesis) -> list[Array]:
+    """Return what each effect of a hypothesis changes of the rows (N,) beside the others."""
+    whole = observation.change(best.effects)
+    out = []
+    for part, values, one in zip(best.parts, best.values, best.effects, strict=True):
+        others = [other for other in best.effects if other is not one]
+        alone = whole - observation.change(others) if others else whole
+        out.append(alone + part.unsimulated(values))
+    return out
+
+
+def _separable(
+    gram: Array, along: Array, precision: Array, parts: Sequence[_Part]
+) -> tuple[np.ndarray, dict[int, tuple[str, ...]]]:
+    """Return which numbers are fitted (k,), and what can't be separated from a part, by its number.
+
+    Of two of a healthy arm's deviations that only together are not zero the clearer one is fitted.
+    """
+    spread = np.linalg.inv(gram + precision)
+    mean = spread @ along
+    std = np.sqrt(np.diag(spread))
+    apart = spread / np.outer(std, std)
+    dropped: set[int] = set()
+    names: dict[int, tuple[str, ...]] = {}
+    open_ = [
+        k for k, part in enumerate(parts)
+        if not np.any(part.change) and not _is_there(part, mean, spread)
+    ]  # fmt: skip
+    for a, b in combinations(open_, 2):
+        here, there = parts[a].places, parts[b].places
+        if {a, b} & dropped or np.max(np.abs(apart[np.ix_(here, there)])) < _ALIKE:
+            continue
+        alone = []
+        for one, other in ((a, b), (b, a)):
+            kept = np.setdiff1d(np.arange(len(gram)), parts[other].places)
+            inner = np.linalg.inv(gram[np.ix_(kept, kept)] + precision[np.ix_(kept, kept)])
+            own = np.searchsorted(kept, parts[one].places)
+            value, block = (inner @ along[kept])[own], inner[np.ix_(own, own)]
+            alone.append(float(value @ np.linalg.solve(block, value)) / len(own))
+        clearer, other = (a, b) if alone[0] >= alone[1] else (b, a)
+        dropped.add(other)
+        names[clearer] = (*names.get(clearer, ()), parts[other].candidate.effect)
+    gone = [place for k in dropped for place in parts[k].places]
+    return np.setdiff1d(np.arange(len(gram)), gone), names
+
+
+def _is_there(part: _Part, mean: Array, covariance: Any) -> bool:
+    """Whether a part's numbers are not zero by chance; a cause is there."""
+    if np.any(part.change):
+        return True
+    value, spread = mean[part.places], covariance[np.ix_(part.places, part.places)]
+    if not np.any(spread):
+        return False
+    size = float(value @ np.linalg.pinv(spread, hermitian=True) @ value)
+    return float(chi2_sf(size, len(value))) < _RESOLVED
+
+
+def _shares(
+    observation: Observation,
+    beside: Background,
+    columns: Array,
+    precision: Array,
+    kept: np.ndarray,
+    best: Hypothesis,
+    parts: Sequence[_Part],
+    floor: float,
+) -> list[Interval] | None:
+    """Return each part's share of the gap and the residual's, on rows that the fit hasn't seen."""
+    rows = observation.rows
+    unknown = beside.columns[:, :UNKNOWNS]
+    every = np.concatenate([beside.columns, columns[:, kept]], axis=1)
+    prior = np.zeros((every.shape[1],) * 2)
+    count = beside.columns.shape[1]
+    prior[:count, :count] = np.diag(beside.precision)
+    prior[count:, count:] = precision[np.ix_(kept, kept)]
+    gram, along = every.T @ every, every.T @ best.raw_rows
+    does = np.zeros((len(rows), len(parts)))
+    before = np.zeros(len(rows))
+    for fold in range(FOLDS):
+        out = rows.fold == fold
+        if not out.any() or out.all():
+            continue
+        held = every[out]
+        inner = gram - held.T @ held + prior
+        silent = np.diag(inner) <= 0.0
+        inner[silent, silent] = 1.0
+        numbers = np.zeros(columns.shape[1])
+        numbers[kept] = np.linalg.solve(inner, along - held.T @ best.raw_rows[out])[count:]
+        changes = np.stack(
+            [part.change + columns[:, part.places] @ numbers[part.places] for part in parts], axis=1
+        ) if parts else np.zeros((len(rows), 0))  # fmt: skip
+        both = np.column_stack([observation.nominal, changes])
+        free = Background(unknown * ~out[:, None], beside.prior_std[:UNKNOWNS])
+        fitted = free.fit(both * ~out[:, None])
+        both = both[out] - unknown[out] @ fitted
+        before[out], does[out] = both[:, 0], both[:, 1:]
+    after = before - does.sum(axis=1)
+    block = rows.block
+    number = np.bincount(block).astype(float)
+    made: list[Array] = [np.bincount(block, part * (before + after)) for part in does.T]
+    made.append(np.bincount(block, after**2) - floor * number)
+    gap = np.bincount(block, before**2) - floor * number
+    if gap.sum() <= 0.0:
+        return None
+    draws = np.random.default_rng(_SEED).integers(0, len(gap), (_DRAWS, len(gap)))
+    totals = gap[draws].sum(axis=1)
+    out_ = []
+    for one in made:
+        low, high = np.quantile(one[draws].sum(axis=1) / totals, [0.025, 0.975])
+        out_.append(Interval(float(one.sum() / gap.sum()), float(low), float(high)))
+    return out_
+
+
+def _item(
+    observation: Observation,
+    part: _Part,
+    mean: Array,
+    covariance: Array,
+    share: Interval,
+    equivalent: tuple[str, ...],
+    generator: np.random.Generator,
+) -> BudgetItem:
+    one = part.candidate
+    values = part.sums(mean)
+    turn = np.zeros((len(values), len(mean)))
+    turn[part.which, part.places] = 1.0
+    numbers = drawn(values, turn @ covariance @ turn.T, generator)
+    named = parameters_of(observation, one, values, numbers)
+    joint = named.pop("joint", None)
+    specification = observation.recording.specification
+    limits = limits_of(specification, one, named)
+    chance = beyond_chance(observation, one, numbers, limits)
+    name = one.effect.partition(":")[0]
+    label = f"{name}:{joint}" if joint else name
+    return BudgetItem(label, share, named, limits, chance, tuple(dict.fromkeys(equivalent)))
+
+
+def lies_within(observation: Observation, one: Candidate, values: Array, spread: Array) -> bool:
+    """Whether a fitted effect, at values (p,) with covariance (p, p), is likelier within its limit.
+
+    One without a limit is there, and never within.
+    """
+    numbers = drawn(values, spread, np.random.default_rng(_SEED))
+    named = parameters_of(observation, one, values, numbers)
+    limits = limits_of(observation.recording.specification, one, named)
+    chance = beyond_chance(observation, one, numbers, limits)
+    return chance is not None and chance < 0.5
+
+
+def limits_of(
+    specification: Specification, one: Candidate, named: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return a specification's limits by the contract's parameters that they are of; {} for none.
+
+    Those of an effect's vector, by name; of another form that of the contract's first number.
+    """
+    name, parts = one.effect.partition(":")[0], one.base.limit_parts
+    limits = [specification.limit(name, part) for part in parts]
+    if any(limit is None for limit in limits):
+        return {}
+    known = [limit * one.limit_unit for limit in limits if limit is not None]
+    found: dict[str, Any] = {}
+    at = 0
+    for fitted in one.base.fitted:
+        own = known[at : at + fitted.size]
+        at += fitted.size
+        field = one.base.contract_names.get(fitted.name, fitted.name)
+        if field in named and (record_of(name).healthy or not found):
+            found[field] = own if fitted.size > 1 else own[0]
+    first = next((key for key, value in named.items() if isinstance(value, Interval)), None)
+    return found or ({} if first is None else {first: known[0]})
+
+
+def beyond_chance(
+    observation: Observation, one: Candidate, numbers: Array, limits: Mapping[str, Any]
+) -> float | None:
+    """Return how many of draws (n, p) of an effect's numbers are beyond a limit; None without."""
+    record = record_of(one.effect)
+    parts = one.base.limit_parts
+    std = None
+    if record.healthy and len(one.free) == numbers.shape[1] and max(one.free) < len(parts):
+        own = tuple(parts[k] for k in one.free)
+        std = observation.recording.specification.std(record.name, own)
+    if std is not None:
+        sizes = np.abs(numbers) / (2.0 * np.array(std) * one.limit_unit)
+    elif limits:
+        named = [record.parameters(observation, one.at(row)) for row in numbers]
+        each: list[Array] = [
+            np.stack([np.abs(np.atleast_1d(row[name])) for row in named]) / np.atleast_1d(limit)
+            for name, limit in limits.items()
+        ]
+        sizes = np.concatenate(each, axis=1)
+    else:
+        return None
+    return float(np.mean(np.any(sizes > 1.0, axis=1)))
