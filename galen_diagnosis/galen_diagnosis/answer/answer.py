@@ -69,8 +69,8 @@ class BudgetItem:
 
     label: with its joint, where it has one. parameters: of a cause; limits: of the specification,
     one number or several, by the parameter that it limits. probability_beyond: that a number is
-    beyond its limit, None where that is not known. equivalent: identities of effects that the data can't
-    separate from it.
+    beyond its limit, None where that is not known. equivalent: identities of effects that the data
+    can't separate from it.
     """
 
     label: str

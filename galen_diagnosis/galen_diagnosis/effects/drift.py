@@ -31,7 +31,7 @@ _HALVINGS = 2
 """How often the time between knots is halved."""
 _TABLE_LENGTHS = (1.0, 0.25, 0.08)
 """Over the table's span; what bends faster than this, in s, is no bias drift."""
-_FASTEST_S = 10.0
+_FASTEST_S, _FASTEST_READINGS = 10.0, 3.0
 _TABLE_SIZES_N = (0.03, 0.2)
 _KEPT = 0.999
 _MOST_STEPS = 24
@@ -100,7 +100,8 @@ def drift_columns(at_s: Array, by_order: bool = False) -> list[Columns]:
     span = float(at_s[-1] - at_s[0])
     ways = []
     for share in _TABLE_LENGTHS:
-        if share < 1.0 and share * span < _FASTEST_S and not by_order:
+        fastest = _FASTEST_READINGS * span / len(at_s) if by_order else _FASTEST_S
+        if share < 1.0 and share * span < fastest:
             continue
         apart = (at_s[:, None] - at_s[None, :]) / (share * span)
         value, vectors = np.linalg.eigh(np.exp(-0.5 * apart**2))

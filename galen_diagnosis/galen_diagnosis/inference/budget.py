@@ -305,7 +305,7 @@ def _shares(
     after = before - does.sum(axis=1)
     block = rows.block
     number = np.bincount(block).astype(float)
-    made: list[Array] = [np.bincount(block, part * (before + after)) for part in does.T]
+    made: list[Any] = [np.bincount(block, part * (before + after)) for part in does.T]
     made.append(np.bincount(block, after**2) - floor * number)
     gap = np.bincount(block, before**2) - floor * number
     if gap.sum() <= 0.0:
@@ -393,7 +393,7 @@ def beyond_chance(
         sizes = np.abs(numbers) / (2.0 * np.array(std) * one.limit_unit)
     elif limits:
         named = [record.parameters(observation, one.at(row)) for row in numbers]
-        each: list[Array] = [
+        each: list[Any] = [
             np.stack([np.abs(np.atleast_1d(row[name])) for row in named]) / np.atleast_1d(limit)
             for name, limit in limits.items()
         ]

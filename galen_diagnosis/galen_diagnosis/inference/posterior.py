@@ -186,7 +186,8 @@ def merge_equivalents(
 
     Sets of as many effects whose fits leave the same rows, but for less than `APART` of noise, are
     one answer with several names: it is as likely beforehand as one set, whatever number of them
-    there are, and Occam's factor is that of the member with the least.
+    there are, and Occam's factor is that of the member with the least. One that needs far more
+    chosen numbers for it (`_AS_LIKELY`) is none of them: they would be a coincidence.
 
     Args:
         behind: unknowns and a healthy arm's tolerances, which count for nothing.
@@ -202,6 +203,8 @@ def merge_equivalents(
         for group in classes:
             first = of[group[0]].hypothesis
             if len(first.names) != len(one.hypothesis.names) or not first.names:
+                continue
+            if abs(sums[k].occam - sums[group[0]].occam) > _AS_LIKELY:
                 continue
             apart = first.raw_rows - one.hypothesis.raw_rows
             if behind.sum_of_squares(apart) < APART**2:

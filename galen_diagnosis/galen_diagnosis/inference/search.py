@@ -31,7 +31,7 @@ _BEHIND = 0.4
 """Part of the likeliest single effect's evidence below which no pair is grown from another one, and
 no general effect is fitted."""
 _SINGLES, _PAIRS_FROM, _PAIRS, _MORE = 7, 3, 4, 1
-_MOST_TOGETHER = 8
+_MOST_TOGETHER = 5
 
 
 @dataclass(frozen=True)

@@ -27,13 +27,15 @@ from galen_model.load.model import Load, gravity_regressor
 from galen_model.play import PlayOperators
 from galen_model.rest.segments import DirectionRest, rest_by_direction
 from galen_model.transmission import TERMS, JointRun, Parts, Scales, design, noise_of
+from scipy.stats import f as f_distribution
 
 from galen_diagnosis.effects.registry import RECORDS
 from galen_diagnosis.effects.table_data import JointTerms, TablePlant
 from galen_diagnosis.observation.noise import ChannelNoise, channel_noise
 
 _FEWEST_BLOCKS = 4
-_REWEIGHTED, _LEAST_FREEDOM = 3, 2.0
+_LEAST_FREEDOM = 2
+_MAPPED = "gravity", "wrench"
 _SAME_GRAVITY_RAD = 0.03
 _WIDE = np.array([10.0, 1.0, 1.0, 1.0, *[100.0] * 3, *[10.0] * 3])
 """Mass (kg), first moments (kg.m), constants: nothing is known of them."""
@@ -88,10 +90,11 @@ def prepare_table(
         )
     if references:
         earlier = [_averaged(one, window_s) for one in references]
-        plant, nominal, floor = _nominal_since(averaged, earlier)
+        plant, nominal, floor, expected = _nominal_since(averaged, earlier)
     else:
         plant, nominal = _nominal(averaged, tool)
-    residual = averaged.wrench - plant.reading()
+        expected = plant.reading()
+    residual = averaged.wrench - expected
     known = floor is not None
     if floor is None:
         spread = np.repeat([residual[:, :3].std(), residual[:, 3:].std()], 3)
@@ -112,6 +115,8 @@ def prepare_table(
         floor_known=known,
         memories_s=(float("inf"), 1e-6),
     )
+    if references:
+        rows = replace(rows, levels=_levels(len(averaged), sum(map(len, earlier))))
     if not known:
         rows = replace(rows, levels=levels, memories_s=(float("inf"),))
     known_load = tool is not None or bool(references)
@@ -136,12 +141,12 @@ def _shown(nominal: Columns, ways: Mapping[str, Sequence[Columns] | str]) -> Eff
     return Effects(nominal, of, tuple(reasons))
 
 
-def _load_columns(gravity: Array, root: Array) -> Columns:
-    """Return columns that are always fitted: moments, constants; root (10, 10): of their prior."""
+def _load_columns(gravity: Array, prior: Array) -> Columns:
+    """Return columns that are always fitted: moments and constants, by their prior (10,)."""
     values = np.zeros((len(gravity), 6, 10))
     values[:, :, :4] = gravity_regressor(gravity)
     values[:, :, 4:] = np.eye(6)
-    return Columns(values @ root, {})
+    return Columns(values * prior, {})
 
 
 def _averaged(table: OrientationTable, window_s: float) -> OrientationTable:
@@ -150,47 +155,52 @@ def _averaged(table: OrientationTable, window_s: float) -> OrientationTable:
     return without_repeats(table)[0].timed()
 
 
+def _levels(later: int, earlier: int) -> tuple[float, ...]:
+    """Return how many times the floor of so many earlier readings later ones may scatter by chance.
+
+    Of one variance, ratios of two estimates of it are F-distributed.
+    """
+    freedom = [max(count - 4, 1) for count in (later, earlier)]
+    most = float(np.sqrt(f_distribution.ppf(0.975, *freedom)))
+    return tuple(np.geomspace(1.0 / most, most, 5).tolist())
+
+
 def _nominal_since(
     table: OrientationTable, earlier: Sequence[OrientationTable]
-) -> tuple[TablePlant, Columns, Floor]:
-    """Return the load that fits earlier tables, how far it may be off, and what it leaves of them.
+) -> tuple[TablePlant, Columns, Floor, Array]:
+    """Return the load, how far nominal may be off, the floor, and nominal readings (n, 6).
 
-    Each table has its own constants: a sensor's zero changes from day to day.
+    What is nominal is a map of gravity, w = A g + b, fitted to earlier tables channel by channel:
+    the load with whatever a sensor's own gains, axes and mount make of it. Each table has its own
+    b, since a sensor's zero changes from day to day. The floor is what that leaves of them.
     """
     assert table.time is not None
-    count = sum(map(len, earlier))
-    design = np.zeros((count, 6, 4 + 6 * len(earlier)))
-    first = 0
-    for number, one in enumerate(earlier):
-        rows = slice(first, first + len(one))
-        design[rows, :, :4] = gravity_regressor(one.gravity)
-        design[rows, :, 4 + 6 * number : 10 + 6 * number] = np.eye(6)
-        first += len(one)
-    wrench = np.concatenate([one.wrench for one in earlier])
-    std = np.ones(6)
-    for _ in range(_REWEIGHTED):
-        flat = (design / std[None, :, None]).reshape(-1, design.shape[2])
-        cofactor = np.linalg.pinv(flat.T @ flat, hermitian=True)
-        fitted = cofactor @ flat.T @ (wrench / std).ravel()
-        left = wrench - design @ fitted
-        used = np.einsum("nck,kl,ncl->c", design, cofactor, design) / std**2
-        if np.any(count - used < _LEAST_FREEDOM):
-            raise GalenError(
-                f"{earlier[0].path}: {count} readings are too few for a reference: with load and"
-                " zero fitted they show no noise"
-            )
-        std = np.sqrt(np.sum(left**2, axis=0) / (count - used))
-    moments = fitted[:4]
+    gravity, wrench = (np.concatenate([getattr(one, of) for one in earlier]) for of in _MAPPED)
+    which = np.repeat(np.arange(len(earlier)), [len(one) for one in earlier])
+    design = np.column_stack([gravity, which[:, None] == np.arange(len(earlier))])
+    freedom = len(design) - design.shape[1]
+    if freedom < _LEAST_FREEDOM:
+        raise GalenError(
+            f"{earlier[0].path}: {len(design)} readings are too few for a reference, which takes"
+            f" {design.shape[1] + _LEAST_FREEDOM} or more"
+        )
+    cofactor = np.linalg.pinv(design.T @ design, hermitian=True)
+    fitted = cofactor @ design.T @ wrench
+    std = np.sqrt(np.sum((wrench - design @ fitted) ** 2, axis=0) / freedom)
+    moments, _ = plain_least_squares(gravity, wrench)
     if not moments[0] > 0.0:
         raise GalenError(f"{earlier[0].path}: the load would weigh {moments[0]:.3g} kg")
     load = Load(float(moments[0]), moments[1:] / moments[0])
-    root = np.diag(_WIDE)
-    root[:4, :4] = np.linalg.cholesky(cofactor[:4, :4])
-    at_s = table.time - table.time[0]
-    weight = TablePlant(table, at_s, load, np.zeros(6)).reading()
-    plant = TablePlant(table, at_s, load, (table.wrench - weight).mean(axis=0))
-    source = f"what the load leaves of {count} readings of the reference"
-    return plant, _load_columns(table.gravity, root), Floor(std, 0.0, 1.0, source)
+    expected = table.gravity @ fitted[:3]
+    offset = (table.wrench - expected).mean(axis=0)
+    values = np.zeros((len(table), 6, 24))
+    open_ = table.gravity @ np.linalg.cholesky(cofactor[:3, :3])
+    for channel in range(6):
+        values[:, channel, 3 * channel : 3 * channel + 3] = std[channel] * open_
+        values[:, channel, 18 + channel] = _WIDE[4 + channel]
+    source = f"what gravity leaves of {len(design)} readings of the reference"
+    plant = TablePlant(table, table.time - table.time[0], load, offset)
+    return plant, Columns(values, {}), Floor(std, 0.0, 1.0, source), expected + offset
 
 
 def _nominal(table: OrientationTable, tool: CalibrationFile | None) -> tuple[TablePlant, Columns]:
@@ -204,7 +214,7 @@ def _nominal(table: OrientationTable, tool: CalibrationFile | None) -> tuple[Tab
                 " positive in the direction of the push?"
             )
         load = Load(float(moments[0]), moments[1:] / moments[0])
-        columns = _load_columns(table.gravity, np.diag(_WIDE))
+        columns = _load_columns(table.gravity, _WIDE)
     else:
         loads = [Load(of.mass_kg, np.asarray(of.com_m)) for of in (tool.load, tool.adapter)]
         total = loads[0].moments + loads[1].moments
@@ -212,7 +222,7 @@ def _nominal(table: OrientationTable, tool: CalibrationFile | None) -> tuple[Tab
         weight = TablePlant(table, at_s, load, np.zeros(6)).reading()
         offset = (table.wrench - weight).mean(axis=0)
         only_constants = np.concatenate([np.zeros(4), _WIDE[4:]])
-        columns = _load_columns(table.gravity, np.diag(only_constants))
+        columns = _load_columns(table.gravity, only_constants)
     return TablePlant(table, at_s, load, offset), columns
 
 
