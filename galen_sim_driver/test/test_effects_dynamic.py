@@ -9,10 +9,14 @@ from galen_model.arm.galen import GALEN
 from galen_model.load.model import ADAPTER, TOOLS
 from galen_model.rotation import matrix_to_rotvec, rotvec_to_matrix
 from galen_sim_driver.effects.effect import ConfigError, Instants, Loading, Posture
-from galen_sim_driver.effects.hysteresis import DeflectionHysteresis, turning_points
+from galen_sim_driver.effects.hysteresis import (
+    DeflectionCreep,
+    DeflectionHysteresis,
+    turning_points,
+)
 from galen_sim_driver.effects.joints import Backlash, JointCompliance
 from galen_sim_driver.effects.load import CableDrag
-from galen_sim_driver.effects.sensor import BaseShift, TrackerDelay, TrackerScale
+from galen_sim_driver.effects.sensor import BaseShift, SensorHysteresis, TrackerDelay, TrackerScale
 from galen_sim_driver.replay import Replay, Scene
 
 POINTER = TOOLS["pointer"]
@@ -238,6 +242,90 @@ def test_noise_doesnt_wear_the_tips_state_off():
     noisy_load = loading(GALEN.home, load + rng.normal(0.0, 0.02, len(load)))
     noisy = effect.fresh().deflect(instants(len(load)), noisy_load)[-100:, 1].mean()
     assert noisy == pytest.approx(clean, rel=0.03)
+
+
+def test_a_held_deflection_creeps_on_exponentially_and_back():
+    at_s = np.cumsum(np.random.default_rng(2).uniform(0.005, 0.05, 800))
+    at_s = np.concatenate([[0.0, 1e-9], at_s + 1e-9])
+    load = np.where((at_s > 0.0) & (at_s < 8.0), 10.0, 0.0)
+    given = loading(GALEN.home, load)
+    effect, when = DeflectionCreep(0.2, 2.5), Instants("push", at_s, at_s)
+    found = effect.fresh().deflect(when, given)
+    held, last = load > 0.0, int(np.flatnonzero(load)[-1])
+    expected = 0.2 * given.elastic * (1.0 - np.exp(-at_s / 2.5))[:, None]
+    assert found[held] == pytest.approx(expected[held], abs=1e-9)
+    # Straight to no load in one step, from which on it comes back as it went.
+    back = found[last + 1] * np.exp(-(at_s[last + 1 :, None] - at_s[last + 1]) / 2.5)
+    assert found[last + 1 :] == pytest.approx(back, abs=1e-12)
+    assert np.abs(found[last] - found[last + 1]).max() < 0.02 * np.abs(found[last]).max()
+    live = effect.fresh()
+    again = [
+        live.deflect(Instants("push", at_s[[k]], at_s[[k]]), replace(
+            given, joints=given.joints[[k]], wrench=given.wrench[[k]], elastic=given.elastic[[k]]
+        ))[0]
+        for k in range(len(at_s))
+    ]  # fmt: skip
+    assert np.array(again) == pytest.approx(found, abs=1e-15)
+
+
+# --- hysteresis of the sensor -------------------------------------------------------------------
+
+
+def along_fz(load):
+    return np.outer(load, [0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_sensor_keeps_a_fraction_of_the_largest_load_on_either_side(side):
+    load = pushes([0.0, 10.0, 0.0, -10.0, 0.0, 10.0])
+    effect, when = SensorHysteresis(0.05, side, knee=0.4), instants(len(load))
+    read = effect.read(when, along_fz(load))
+    # The state's differential equation in small steps.
+    fine = np.interp(np.arange(0.0, len(load) - 1.0, 1e-3), np.arange(len(load)), load)
+    state, states = 0.0, [0.0]
+    for step in np.diff(fine) / 4.0:
+        state += step - 0.5 * (abs(step) * state + step * abs(state))
+        states.append(state)
+    states = np.append(states[::1000], state)
+    size = -side * 0.5 / states[120]
+    assert load - read[:, 2] == pytest.approx(size * states, abs=2e-4)
+    assert read[[120, 240], 2] == pytest.approx([side * 0.5, -side * 0.5], abs=1e-2)
+    assert np.abs(read[:, [0, 1, 3, 4, 5]]).max() == 0.0
+    assert effect.unread(when, read) == pytest.approx(along_fz(load), abs=1e-3)
+    # One at a time is the same: the largest load is what a driver takes it for.
+    live = effect.fresh()
+    again = [live.read(instants(1), row[None])[0] for row in along_fz(load)]
+    assert np.array(again) == pytest.approx(read, abs=1e-12)
+
+
+def test_what_loads_have_left_in_a_sensor_outlasts_a_pause_or_does_not():
+    load = np.concatenate([pushes([0.0, 10.0, 0.0]), np.zeros(5)])
+    at_s = 0.01 * np.arange(len(load)) + 5.0 * (np.arange(len(load)) > 120)
+    when = Instants("push", at_s, at_s)
+    for restarts, left in ((True, 0.0), (False, 0.5)):
+        read = SensorHysteresis(0.05, restarts=restarts).read(when, along_fz(load))
+        assert read[120, 2] == pytest.approx(0.5)
+        assert read[121:, 2] == pytest.approx(left, abs=1e-12)
+
+
+def test_a_push_leaves_something_in_the_readings_after_it():
+    load = along_fz(pushes([0.0, 10.0, 0.0, 0.0]))
+    effect = SensorHysteresis(0.05)
+    given = scene(0.01 * np.arange(len(load)), GALEN.home, load)
+    still = Replay(given).reading()
+    given = replace(given, reading=still + effect.read(instants(len(load)), load),
+                    touched=np.arange(len(load)) <= 120)  # fmt: skip
+    pushed = Replay(given, [effect])
+    assert pushed.applied_wrench() == pytest.approx(load, abs=1e-3)
+    after = ~given.touched
+    assert (pushed.reading() - still)[after, 2] == pytest.approx(0.5, abs=1e-3)
+
+
+def test_a_sensor_whose_reading_would_stand_still_is_refused():
+    with pytest.raises(
+        ConfigError, match=r"fraction is 0.2, but with side 1 and knee 0.1 it stays below 0.1"
+    ):
+        SensorHysteresis(0.2, knee=0.1).validate()
 
 
 # --- play ---------------------------------------------------------------------------------------

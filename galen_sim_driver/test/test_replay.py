@@ -13,6 +13,7 @@ from galen_sim_driver.effects.joints import (
     BaseInclination,
     JointAxisMisalignment,
     JointCompliance,
+    JointEccentricity,
     JointGain,
     JointZeroOffset,
 )
@@ -28,6 +29,7 @@ from galen_sim_driver.effects.sensor import (
     Crosstalk,
     SensorDrift,
     SensorMountRotation,
+    SensorNonlinearity,
     SensorSaturation,
     WrenchDelay,
 )
@@ -141,6 +143,10 @@ def angles(roll=0.0, tilt=0.0, gain=1.0, roll_gain=1.0):
         ((JointGain("roll", 0.05),), angles(roll_gain=1.05)),
         # However they are given: the encoder's gain first, then its zero.
         ((JointZeroOffset("tilt", 0.02), JointGain("tilt", 0.05)), angles(tilt=0.02, gain=1.05)),
+        (
+            (JointEccentricity("roll", 0.02, 3.0, 0.7),),
+            {"true": lambda q: q + [0.0, 0.0, 0.0, 0.02 * np.sin(3.0 * q[3] + 0.7), 0.0]},
+        ),
         ((JointAxisMisalignment("tilt", "z", 0.06),), {"tilt_axis": (0.0, 0.0, 0.06)}),
         ((JointAxisMisalignment("tilt", "x", 0.06),), {"tilt_axis": (0.06, 0.0, 0.0)}),
         ((JointAxisMisalignment("roll", "y", 0.06),), {"roll_axis": (0.0, 0.06, 0.0)}),
@@ -159,6 +165,16 @@ def test_what_changes_the_load_reads_as_pinocchios_arm_with_it(effects, arm):
 
 def saturated(wrench):
     wrench[:, 2] = np.minimum(np.maximum(wrench[:, 2], -0.9), 0.9)
+    return wrench
+
+
+def bent(wrench):
+    wrench[:, 2] += 0.03 * wrench[:, 2] ** 2
+    return wrench
+
+
+def oddly_bent(wrench):
+    wrench[:, 0] -= 0.02 * wrench[:, 0] * np.abs(wrench[:, 0])
     return wrench
 
 
@@ -192,6 +208,8 @@ def through_knots(wrench):
         (AxisGain((0.01, 0.02, -0.03, 0.04, 0.05, -0.06)),
          lambda w: w * [1.01, 1.02, 0.97, 1.04, 1.05, 0.94]),
         (Crosstalk("fy", "tx", 0.02), mixed),
+        (SensorNonlinearity("fz", 0.03), bent),
+        (SensorNonlinearity("fx", -0.02, True), oddly_bent),
         (SensorMountRotation(TURN), turned),
         (SensorDrift(RATE), lambda w: w + (COLUMN + START_S) / 3600.0 * RATE),
         (SensorDrift.through(KNOTS, LEVELS), through_knots),

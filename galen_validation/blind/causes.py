@@ -132,6 +132,29 @@ def _gain(joint: str) -> Draw:
     )  # fmt: skip
 
 
+def _eccentricity(joint: str) -> Draw:
+    """Put an encoder's disc off its shaft, or bend the shaft: once or twice a turn."""
+
+    def draw(rng: np.random.Generator, healthy: Measurement) -> Cause:
+        k = healthy.session.arm.joint_names.index(joint)
+        cycles, phase = float(rng.integers(1, 3)), float(rng.uniform(-np.pi, np.pi))
+
+        def joints(size: float, reported: Array, _: Array) -> Array:
+            true = np.array(reported)
+            true[:, k] += size * np.sin(cycles * true[:, k] + phase)
+            return true
+
+        return Cause(
+            f"joint_eccentricity:{joint}", 0.005, 0.3,
+            lambda size, _: {
+                "joint": joint, "amplitude_rad": size, "cycles": cycles, "phase_rad": phase,
+            },
+            joints=joints,
+        )  # fmt: skip
+
+    return draw
+
+
 def _misalignment(joint: str) -> Draw:
     """Turn an axis about z of its parent link, or about x where it lies along z."""
 
@@ -399,6 +422,41 @@ def _crosstalk(rng: np.random.Generator, _: Measurement) -> Cause:
     )  # fmt: skip
 
 
+def _bent(rng: np.random.Generator, _: Measurement) -> Cause:
+    """Bend an axis: reading += size x^2 / (100 noises), in half of the cases with x's sign."""
+    axis, odd = int(rng.integers(6)), bool(rng.random() < 0.5)
+    unit = 1.0 / (100.0 * SIGMA[axis])
+
+    def sense(size: float, _: Moment, total: Array) -> Array:
+        read, own = np.array(total), total[:, axis]
+        read[:, axis] += size * unit * own * (np.abs(own) if odd else own)
+        return read
+
+    return Cause(
+        "sensor_nonlinearity", 0.03 * sign(rng), 1.0,
+        lambda size, _: {"axis": WRENCH_AXES[axis], "coefficient": size * unit}, sense=sense,
+    )  # fmt: skip
+
+
+def _lagging(rng: np.random.Generator, _: Measurement) -> Cause:
+    """Come back along another line: x - size (x - play of x), the play a share of the largest."""
+    share = rng.uniform(0.05, 0.4)
+
+    def sense(size: float, _: Moment, total: Array) -> Array:
+        if len(total) < 2:
+            return total
+        width = share * np.max(np.abs(total - total[0]), axis=0)
+        held, state = np.empty_like(total), total[0]
+        for k, (low, high) in enumerate(zip(total - width, total + width, strict=True)):
+            state = np.minimum(np.maximum(state, low), high)
+            held[k] = state
+        return np.asarray(total - size * (total - held))
+
+    return Cause(
+        "sensor_hysteresis", 0.1, 0.9, lambda size, _: {"fraction": size * share}, sense=sense
+    )
+
+
 def _saturation(rng: np.random.Generator, healthy: Measurement) -> Cause:
     """Hard or soft, x / (1 + |x / L|^p)^(1 / p), at L = twice the peak times exp(-size)."""
     axis = int(rng.integers(6))
@@ -532,6 +590,7 @@ def listed(arm: Arm) -> dict[str, Draw]:
     return {
         **{f"joint_zero_offset:{joint}": _zero_offset(joint) for joint in zeros},
         **{f"joint_gain:{joint}": _gain(joint) for joint in others},
+        **{f"joint_eccentricity:{joint}": _eccentricity(joint) for joint in zeros},
         **{f"joint_axis_misalignment:{joint}": _misalignment(joint) for joint in others},
         **{name: draw for name, draw in _ANYWHERE.items() if arm.stiffness or name not in _SPRINGY},
     }
@@ -542,6 +601,8 @@ _ANYWHERE: Mapping[str, Draw] = {
     "sensor_mount_rotation": _mount,
     "axis_gain": _axis_gain,
     "crosstalk": _crosstalk,
+    "sensor_nonlinearity": _bent,
+    "sensor_hysteresis": _lagging,
     "sensor_drift": _drift,
     "bias_step": _step,
     "wrench_delay": _delay("wrench"),

@@ -29,26 +29,27 @@ def _turning(healthy: Measurement, rng: np.random.Generator) -> str:
     return str(rng.choice(healthy.session.arm.turning_names[-3:]))
 
 
-def _eccentricity(rng: np.random.Generator, healthy: Measurement) -> Cause:
-    """Put an encoder off its axis: q + size (sin(q + phase) - sin(phase))."""
-    k, phase = healthy.session.arm.turning[-2], rng.uniform(1.0, 2.1)
-
-    def joints(size: float, reported: Array, _: Array) -> Array:
-        true = np.array(reported)
-        true[:, k] += size * (np.sin(true[:, k] + phase) - np.sin(phase))
-        return true
-
-    return _unlisted("encoder_eccentricity", 0.01 * sign(rng), 0.3, joints=joints)
-
-
-def _bent_sensor(rng: np.random.Generator, _: Measurement) -> Cause:
-    """Bend an axis: reading += size x^2 / (100 noises)."""
-    axis = int(rng.integers(6))
-    way = np.eye(6)[axis] / (100.0 * SIGMA)
+def _mixed_axes(rng: np.random.Generator, _: Measurement) -> Cause:
+    """Let an axis read a part of the product of two others, in units of 100 noises."""
+    first, second, axis = rng.choice(6, 3, replace=False)
+    way = np.eye(6)[axis] * SIGMA[axis] / (100.0 * SIGMA[first] * SIGMA[second])
     return _unlisted(
-        "quadratic_sensor", 0.03 * sign(rng), 1.0,
-        sense=lambda size, _, total: total + size * total**2 * way,
+        "mixed_axes", 0.03 * sign(rng), 1.0,
+        sense=lambda size, _, total: total + np.outer(
+            size * total[:, first] * total[:, second], way
+        ),
     )  # fmt: skip
+
+
+def _hum(rng: np.random.Generator, _: Measurement) -> Cause:
+    """Let a pump or a fan shake all axes, by size noises."""
+    frequency_hz, phases = rng.uniform(3.0, 20.0), rng.uniform(0.0, 2.0 * np.pi, 6)
+
+    def show(size: float, at: Moment, reading: Array) -> Array:
+        turned = 2.0 * np.pi * frequency_hz * at.session_s[:, None] + phases
+        return np.asarray(reading + size * SIGMA * np.sin(turned))
+
+    return _unlisted("hum", 0.5, 20.0, show=show)
 
 
 def _sag(rng: np.random.Generator, _: Measurement) -> Cause:
@@ -114,23 +115,6 @@ def _far_tracker(rng: np.random.Generator, healthy: Measurement) -> Cause:
         return position * (1.0 + size * np.linalg.norm(position, axis=1, keepdims=True))
 
     return _unlisted("tracker_distance", 0.002 * sign(rng), 0.5, seen=seen)
-
-
-def _sensor_hysteresis(rng: np.random.Generator, _: Measurement) -> Cause:
-    """Come back along another line: x - size (x - play of x)."""
-    share = rng.uniform(0.04, 0.12)
-
-    def sense(size: float, _: Moment, total: Array) -> Array:
-        if len(total) < 2:
-            return total
-        width = share * np.ptp(total, axis=0)
-        held, state = np.empty_like(total), total[0]
-        for k, (low, high) in enumerate(zip(total - width, total + width, strict=True)):
-            state = np.minimum(np.maximum(state, low), high)
-            held[k] = state
-        return np.asarray(total - size * (total - held))
-
-    return _unlisted("sensor_hysteresis", 0.1, 3.0, sense=sense)
 
 
 def _leaning(rng: np.random.Generator, healthy: Measurement) -> Cause:
@@ -209,12 +193,11 @@ def _slipping_zero(rng: np.random.Generator, healthy: Measurement) -> Cause:
 
 
 _CALIBRATION: Mapping[str, Draw] = {
-    "encoder_eccentricity": _eccentricity, "quadratic_sensor": _bent_sensor, "weight_sag": _sag,
-    "thermal_gain": _warm_gain,
+    "mixed_axes": _mixed_axes, "hum": _hum, "weight_sag": _sag, "thermal_gain": _warm_gain,
 }  # fmt: skip
 _TEST: Mapping[str, Draw] = {
     "rattling_mass": _rattle, "sloshing_mass": _slosh,
-    "creep": _creep, "tracker_distance": _far_tracker, "sensor_hysteresis": _sensor_hysteresis,
+    "creep": _creep, "tracker_distance": _far_tracker,
     "leaning_tool": _leaning, "slipped_marker": _slipped_marker, "wobbling_bearing": _wobble,
     "warm_sensor": _temperature, "uneven_tracker": _uneven_tracker,
     "slipping_zero": _slipping_zero,

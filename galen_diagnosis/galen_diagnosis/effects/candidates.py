@@ -8,7 +8,7 @@ effect is likely as a whole: its forms share its probability.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from galen_model.arrays import Array
@@ -124,6 +124,15 @@ def linear_form(
     own = base.identity if name is None else name
     free = np.arange(len(start))
     return Candidate(own, label, base, free, start, typical, 0.1 * typical, columns)
+
+
+def freed(one: Candidate, fitted: Candidate) -> Candidate:
+    """Return a form whose fit, `fitted`, has further numbers behind its own."""
+
+    def begun(values: Array) -> tuple[Candidate, Array]:
+        return fitted, np.concatenate([values, fitted.start[len(values) :]])
+
+    return replace(one, into=begun)
 
 
 def floats(vector: Array) -> tuple[float, ...]:

@@ -26,7 +26,7 @@ from galen_model.rotation import about
 from galen_sim_driver.effects import joints as simulated
 from scipy.spatial.transform import Rotation
 
-from galen_diagnosis.effects.candidates import Candidate, plain_form
+from galen_diagnosis.effects.candidates import Candidate, freed, plain_form
 from galen_diagnosis.effects.diagnosed_effect import DiagnosedEffect, FileParts
 from galen_diagnosis.effects.table_data import STEP, TablePlant, numbers_of
 from galen_diagnosis.observation.observation import Observation
@@ -81,6 +81,34 @@ JOINT_GAIN = DiagnosedEffect(
         f"no robot description holds the gain of {effect.joint}: have the driver report"
         f" {1.0 + effect.gain:.6f} times its angle"
     ),
+)
+
+
+_CYCLES = (1.0, 2.0, 3.0, 4.0)
+"""Of a gear or disc on the joint's own shaft 1 or 2, as of a healthy arm's."""
+
+
+def _eccentricities(_: Observation, effect: simulated.JointEccentricity) -> Iterator[Candidate]:
+    """Yield whole numbers of cycles, which a fit may leave."""
+    for cycles in _CYCLES:
+        base, label = replace(effect, cycles=cycles), f"{cycles:g} cycles"
+        fitted = replace(plain_form(base, label), bonus=-np.log(len(_CYCLES)))
+        fitted = replace(fitted, probe=np.array([1e-3, 1e-3, 0.01]))
+        one = plain_form(base, label, np.arange(2))
+        yield freed(replace(one, bonus=fitted.bonus, wider=cycles > 2.0), fitted)
+
+
+JOINT_ECCENTRICITY = DiagnosedEffect(
+    name=simulated.JointEccentricity.name,
+    title="eccentricity at the {joint} joint",
+    sentence="the {joint} joint's angle errs by up to {amplitude_rad}, {cycles} times a turn from"
+    " {phase_rad} on",
+    remedy="centre the encoder's disc or the gear of the {joint} joint, or have its driver subtract"
+    " the error",
+    healthy=True,
+    forms=_eccentricities,
+    most_forms=2,
+    known="firm",
 )
 
 

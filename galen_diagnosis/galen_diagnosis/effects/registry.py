@@ -20,7 +20,9 @@ RECORDS: Mapping[str, DiagnosedEffect] = {
         *(load.TOOL_MASS_ERROR, load.TOOL_COM_ERROR, drift.SENSOR_DRIFT, drift.BIAS_STEP),
         *(transmission.JOINT_COMPLIANCE, transmission.DEFLECTION_HYSTERESIS),
         *(transmission.ENCODER_DELAY, transmission.GEAR_ERROR, load.INERTIAL_LOAD),
-        *(sensor.WRENCH_DELAY, transmission.BACKLASH, joints.JOINT_ZERO_OFFSET),
+        *(sensor.SENSOR_NONLINEARITY, sensor.SENSOR_HYSTERESIS, joints.JOINT_ECCENTRICITY),
+        *(transmission.DEFLECTION_CREEP, sensor.WRENCH_DELAY, transmission.BACKLASH),
+        joints.JOINT_ZERO_OFFSET,
         *(joints.JOINT_GAIN, joints.JOINT_AXIS_MISALIGNMENT),
         *(tracker.TRACKER_DELAY, tracker.TRACKER_SCALE, tracker.BASE_SHIFT),
     )

@@ -2,7 +2,7 @@
 
 What is added to a reading, b(t), changes the rows by the sensor's zero's columns O_k times b_k(t)
 (where the tool is pushed, the tip's too: the excess of the reading wasn't applied). So crosstalk,
-drift and steps need no simulation of their own,
+squares, lags, drift and steps need no simulation of their own,
 
     crosstalk: O_to f_from(t),    drift: O_k phi(t),    step: O_k [t >= t_0].
 
@@ -16,10 +16,10 @@ each clipped push has in the form
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
-from itertools import permutations
+from itertools import permutations, product
 from typing import Any
 
 import numpy as np
@@ -28,11 +28,11 @@ from galen_model.arrays import Array
 from galen_model.evidence.held_out import Columns
 from galen_model.rotation import matrix_to_rotvec, rotvec_to_matrix
 from galen_sim_driver.effects import sensor as simulated
-from galen_sim_driver.effects.effect import Effect
+from galen_sim_driver.effects.effect import Effect, Instants
 from galen_sim_driver.effects.registry import contract_parameters
-from galen_sim_driver.replay import Replay
+from galen_sim_driver.replay import Between, Replay
 
-from galen_diagnosis.effects.candidates import Candidate, linear_form, plain_form
+from galen_diagnosis.effects.candidates import Candidate, freed, linear_form, plain_form
 from galen_diagnosis.effects.diagnosed_effect import DiagnosedEffect, FileParts, no_forms
 from galen_diagnosis.effects.general_shapes import SoftSaturation
 from galen_diagnosis.effects.table_data import DELAY_S, JointTerms, TablePlant, by_simulator, in_lag
@@ -98,7 +98,7 @@ def crosstalk_candidate(effect: simulated.Crosstalk) -> Candidate:
 
 def crosstalk_candidates(observation: Observation, zero: Array) -> list[Candidate]:
     """Return all pairs; zero (N, 6): columns of the sensor's zero."""
-    reading = _readings_at_rows(observation)
+    reading = _at_rows(observation)
     found = []
     for from_axis, to_axis, effect in crosstalks():
         column = zero[:, WRENCH_AXES.index(to_axis)] * reading[:, WRENCH_AXES.index(from_axis)]
@@ -106,16 +106,23 @@ def crosstalk_candidates(observation: Observation, zero: Array) -> list[Candidat
     return found
 
 
-def _readings_at_rows(observation: Observation) -> Array:
-    """Return the reading (N, 6) at each row's time, where untouched the predicted one."""
+def _reading(_: Instants, reading: Array) -> Array:
+    return reading
+
+
+def _at_rows(observation: Observation, of: Callable[[Instants, Array], Array] = _reading) -> Array:
+    """Return at each row's time (N, 6) what `of` makes of a bag's reading (n, 6): itself.
+
+    Where untouched it is the predicted one.
+    """
     rows = observation.rows
     out = np.zeros((len(rows), 6))
     for name, view in observation.views.items():
         scene = view.scene
         reading = np.where(scene.touched[:, None], scene.reading, Replay(scene).reading())
         here = rows.bag == BAGS.index(name)
-        at_s = rows.bag_s[here]
-        out[here] = np.stack([np.interp(at_s, scene.wrench_s, axis) for axis in reading.T], axis=1)
+        made = of(scene.instants(scene.wrench_s), reading)
+        out[here] = Between(rows.bag_s[here], scene.wrench_s).of(made)
     return out
 
 
@@ -131,6 +138,81 @@ CROSSTALK = DiagnosedEffect(
     in_table=lambda plant: [
         plant.columns(effect, {"from": a, "to": b}) for a, b, effect in crosstalks()
     ],
+)
+
+
+_BENT = (0.01,) * 3 + (0.2,) * 3
+"""Usual nonlinearity, 1/N and 1/(N.m)."""
+
+
+def nonlinear_candidates(observation: Observation, zero: Array) -> list[Candidate]:
+    """Return each axis, its square with and without its sign; zero (N, 6) as for crosstalk."""
+    reading = _at_rows(observation)
+    found = []
+    for axis, name in enumerate(WRENCH_AXES):
+        own, size = reading[:, axis], np.array([_BENT[axis]])
+        for signed in (False, True):
+            effect = simulated.SensorNonlinearity(axis=name, signed=signed)
+            square = own * (np.abs(own) if signed else own)
+            label = f"{name} {'odd' if signed else 'even'}"
+            columns = (zero[:, axis] * square)[:, None]
+            found.append(
+                replace(plain_form(effect, label), typical=size, probe=0.1 * size, columns=columns)
+            )
+    return found
+
+
+SENSOR_NONLINEARITY = DiagnosedEffect(
+    name=simulated.SensorNonlinearity.name,
+    title="nonlinear sensor",
+    sentence="the sensor's {axis} reads {coefficient} of its square too much",
+    remedy="have the sensor calibrated over its range",
+    healthy=True,
+    forms=no_forms,
+    columns=nonlinear_candidates,
+    most_forms=2,
+    known="firm",
+)
+
+
+_KNEES, _TOGETHER = (0.08, 0.2, 0.5), ("force", "torque", "all")
+
+
+def lagging_candidates(observation: Observation, zero: Array) -> list[Candidate]:
+    """Return lags of forces, torques or both; zero (N, 6) as for crosstalk.
+
+    Over a pause of a bag what the loads have left is gone, or stays.
+    """
+    found = []
+    bonus = -np.log(2 * len(_KNEES) * len(_TOGETHER))
+    for restarts, knee in product((True, False), _KNEES):
+        unit = simulated.SensorHysteresis(1.0, knee=knee, restarts=restarts)
+        lag = _at_rows(observation, unit.lag)
+        for axes in _TOGETHER:
+            own = list(simulated.AXES[axes])
+            column = -np.sum(zero[:, own] * lag[:, own], axis=1, keepdims=True)
+            effect = replace(unit, fraction=0.0, axes=axes)
+            label = f"{axes} {knee:g}{'' if restarts else ' kept'}"
+            typical, probe = np.array([0.02, 0.5 * knee]), np.array([2e-3, 0.05 * knee])
+            fitted = replace(plain_form(effect, label), typical=typical, probe=probe, bonus=bonus)
+            one = replace(linear_form(effect, label, column, typical[:1]), bonus=bonus)
+            # A healthy sensor's is that of forces and of torques, and turns neither soon nor late.
+            usual = restarts and knee == _KNEES[1] and axes != "all"
+            found.append(freed(replace(one, wider=not usual), fitted))
+    return found
+
+
+SENSOR_HYSTERESIS = DiagnosedEffect(
+    name=simulated.SensorHysteresis.name,
+    title="hysteresis of the sensor",
+    sentence="the sensor has hysteresis and keeps {fraction} of its reading when the load is gone",
+    remedy="tighten the sensor's screws, or have it repaired",
+    healthy=True,
+    forms=no_forms,
+    columns=lagging_candidates,
+    most_forms=2,
+    known="rough",
+    remembers=True,
 )
 
 
@@ -197,7 +279,7 @@ def bent_candidates(observation: Observation, zero: Array) -> list[Candidate]:
 
     Far below its limit L a reading falls short by x |x / L|^p / p.
     """
-    true = _readings_at_rows(observation)
+    true = _at_rows(observation)
     found = []
     for axis, name in enumerate(WRENCH_AXES):
         largest = float(np.max(np.abs(true[:, axis])))

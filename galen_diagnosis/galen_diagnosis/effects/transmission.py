@@ -27,11 +27,11 @@ from galen_model.arrays import Array
 from galen_model.evidence.held_out import Columns
 from galen_model.transmission import TORQUE_PLAYS
 from galen_sim_driver.effects.effect import Effect
-from galen_sim_driver.effects.hysteresis import DeflectionHysteresis
+from galen_sim_driver.effects.hysteresis import DeflectionCreep, DeflectionHysteresis
 from galen_sim_driver.effects.joints import CROSSINGS, Backlash, JointCompliance
 from galen_sim_driver.effects.registry import contract_parameters
 
-from galen_diagnosis.effects.candidates import Candidate, floats, plain_form
+from galen_diagnosis.effects.candidates import Candidate, floats, freed, plain_form
 from galen_diagnosis.effects.diagnosed_effect import DiagnosedEffect
 from galen_diagnosis.effects.general_shapes import FrictionInJoints
 from galen_diagnosis.effects.table_data import DELAY_S, JointTerms, in_lag
@@ -166,6 +166,30 @@ DEFLECTION_HYSTERESIS = DiagnosedEffect(
     known="rough",
     remembers=True,
     in_joint_runs=_loops_of_runs,
+)
+
+
+_CREEPS_S = (1.0, 3.0, 10.0)
+
+
+def _creeps(_: Observation, effect: DeflectionCreep) -> Iterator[Candidate]:
+    for tau_s in _CREEPS_S:
+        base, label = replace(effect, tau_s=tau_s), f"{tau_s:g} s"
+        typical, probe = np.array([0.1, 0.5 * tau_s]), np.array([0.01, 0.05 * tau_s])
+        fitted = replace(plain_form(base, label), typical=typical, probe=probe)
+        yield freed(plain_form(base, label, np.arange(1)), fitted)
+
+
+DEFLECTION_CREEP = DiagnosedEffect(
+    name=DeflectionCreep.name,
+    title="creep of the deflection",
+    sentence="under a constant load the deflection goes on by {fraction} of itself, over {tau_s}",
+    remedy="look for plastic, rubber and loose screws that bear load; wait before measuring",
+    needs="tracker",
+    healthy=True,
+    forms=_creeps,
+    known="loose",
+    remembers=True,
 )
 
 

@@ -373,7 +373,7 @@ def limits_of(
         own = known[at : at + fitted.size]
         at += fitted.size
         field = one.base.contract_names.get(fitted.name, fitted.name)
-        if field in named and (record_of(name).healthy or not found):
+        if own and field in named and (record_of(name).healthy or not found):
             found[field] = own if fitted.size > 1 else own[0]
     first = next((key for key, value in named.items() if isinstance(value, Interval)), None)
     return found or ({} if first is None else {first: known[0]})

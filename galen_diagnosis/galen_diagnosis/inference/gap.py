@@ -231,7 +231,10 @@ def _interval(part: Candidate, name: str, value: Any, draws: list[Any]) -> Any:
         }
     if name in part.known:
         return Interval(float(value), *part.known[name])
-    low, high = np.quantile(np.array(draws, dtype=float), [0.025, 0.975], axis=0)
+    every = np.array(draws, dtype=float)
+    if name == "phase_rad":
+        every = value + np.angle(np.exp(1j * (every - value)))
+    low, high = np.quantile(every, [0.025, 0.975], axis=0)
     if isinstance(value, list | tuple):
         return [
             Interval(float(v), float(a), float(b)) for v, a, b in zip(value, low, high, strict=True)

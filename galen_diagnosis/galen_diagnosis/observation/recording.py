@@ -56,8 +56,6 @@ from galen_diagnosis.observation.specification import (
 
 RECORDING_FILES = ("tool.json", ARM_FILE, SPECIFICATION_FILE)
 """What is read of a recording beside its bags."""
-_NOT_SOUGHT = "sensor_nonlinearity", "sensor_hysteresis", "joint_eccentricity", "deflection_creep"
-"""Effects of the contract that have a limit and no model yet."""
 _JUMP_S = 1.0
 _TRACKER_TOPICS = ("tracker/tool_pose", "tracker/base_pose")
 _LEAST_SAMPLES = 50
@@ -246,8 +244,7 @@ def read_recording(
 def _specification(path: Path, given: Sequence[str | os.PathLike[str]], arm: Arm) -> Specification:
     own = path / SPECIFICATION_FILE
     usual = CALIBRATED if arm.joint_names == GALEN.joint_names else DEFAULT
-    known = {**dict.fromkeys(_NOT_SOUGHT), **limit_parts(arm)}
-    return specification_of(given or ([own] if own.exists() else [usual]), known)
+    return specification_of(given or ([own] if own.exists() else [usual]), limit_parts(arm))
 
 
 def require_sound_setup(recording: DiagnosticRecording) -> None:

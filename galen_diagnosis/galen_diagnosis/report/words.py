@@ -52,6 +52,7 @@ _FORCES: dict[str, tuple[_Unit, _Unit]] = {
 _UNITS: dict[str, _Unit] = {
     "gain": (100.0, " %"),
     "residual_fraction": (100.0, " %"),
+    "fraction": (100.0, " %"),
     "k": (1.0, " N.m/rad"),
     "carriage": (1e-3, " N/mm"),
     "rod": (1e-3, " N/mm"),
@@ -111,6 +112,9 @@ def parameter_words(effect: str, name: str, parameters: dict[str, Any]) -> str:
     if isinstance(value, dict):
         return ", ".join(f"{part} {_stiffness_words(part, value[part])}" for part in value)
     if isinstance(value, Interval):
+        if name == "coefficient" and "axis" in parameters:
+            per = "/(N.m)" if str(parameters["axis"]).startswith("t") else "/N"
+            return with_interval(value, (1.0, per))
         if name == "coefficient":
             ends = (str(parameters.get(end, "")) for end in ("from", "to"))
             return with_interval(value, _coefficient_unit(*ends))

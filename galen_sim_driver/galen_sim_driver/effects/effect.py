@@ -149,11 +149,18 @@ class Effect:
 
     @property
     def limit_parts(self) -> tuple[str, ...]:
-        """Return of each number of `vector` the name under which a specification may limit it."""
+        """Return of each number of `vector` the name under which a specification may limit it.
+
+        Of the first ones: the others have no limit.
+        """
         part = vars(self)["joint"] if self.of_a_joint else ""
         return (part,) * len(self.vector())
 
     # --- on an arm ----------------------------------------------------------------------------
+
+    def limit_names(self, arm: Arm) -> tuple[str, ...]:
+        """Return all names on an arm under which a specification may limit it."""
+        return self.limit_parts
 
     @classmethod
     def kind_of(cls, arm: Arm) -> type[Effect]:

@@ -226,7 +226,8 @@ def along_turns(
 
 FORMS = ("tip", "joints")
 
-_GATE = 0.02
+GATE = 0.02
+"""Of the largest load: swings below it are none."""
 _LEAST_FRACTION = 1e-4
 _STILL_POSE_M = 2e-4
 _TYPICAL_FORCE_N = 10.0
@@ -266,7 +267,7 @@ class _Memory:
         if len(loads) == 1:
             states = slide(self._state, loads[0] - self._load)[None]
         else:
-            states = along_turns(loads, _GATE * peak, slide, self._load, self._state)
+            states = along_turns(loads, GATE * peak, slide, self._load, self._state)
         self._load, self._state = loads[-1], states[-1]
         return states, peak
 
@@ -436,3 +437,66 @@ def _typical_joints(loading: Loading, columns: Array) -> Array:
     if arm.delta is not None:
         return np.array([15.0] * 3 + [1.5] * (len(arm.joints) - 3) + [60.0] * 6)
     return np.asarray(_TYPICAL_FORCE_N * np.linalg.norm(columns[:3], axis=0))
+
+
+class _Crept:
+    """Time, elastic displacement (6,) and what has crept (6,) at the last sample."""
+
+    def __init__(self) -> None:
+        self.session_s: float | None = None
+        self.elastic = np.zeros(6)
+        self.state = np.zeros(6)
+
+
+@dataclass(frozen=True)
+class DeflectionCreep(Effect):
+    """Under a load the deflection goes on by `fraction` of the elastic one, over `tau_s`.
+
+    To the elastic displacement e of the tip comes c with tau dc/dt = fraction e - c, exact where e
+    goes straight from sample to sample.
+    """
+
+    name = "deflection_creep"
+    fitted = (
+        Fitted("fraction", "", 0.1, -0.9, 5.0),
+        Fitted("tau_s", "s", 3.0, 0.02, 1e3),
+    )
+    limit_parts = ("",)
+
+    fraction: float = param(
+        0.0, "what the deflection goes on by under a constant load, over the elastic one", -0.9, 5.0
+    )
+    tau_s: float = param(3.0, "time in which it does by 63 % of that, s", 0.02, 1e3)
+
+    _memory: ClassVar[_Crept | None] = None
+
+    @property
+    def changes_nothing(self) -> bool:
+        return self.fraction == 0.0
+
+    def fresh(self) -> Self:
+        new = replace(self)
+        # A dataclass's own way into its frozen fields; the memory is none of its numbers.
+        object.__setattr__(new, "_memory", _Crept())
+        return new
+
+    def deflect(self, when: Instants, loading: Loading) -> Array | None:
+        if self.fraction == 0.0 or not len(when):
+            return None
+        memory = self._memory or _Crept()
+        if memory.session_s is None:
+            memory.session_s = float(when.session_s[0])
+        steps = np.diff(when.session_s, prepend=memory.session_s) / self.tau_s
+        keep = np.exp(-steps)
+        # Share of the step's end, of 1 - keep, in what is added over a straight step.
+        with np.errstate(divide="ignore", invalid="ignore"):
+            late = np.where(steps > 1e-6, 1.0 - (1.0 - keep) / steps, 0.5 * steps)
+        before = np.concatenate([memory.elastic[None], loading.elastic[:-1]])
+        more = late[:, None] * loading.elastic + (1.0 - keep - late)[:, None] * before
+        out, state = np.empty_like(more), memory.state
+        for row, (share, added) in enumerate(zip(keep.tolist(), more, strict=True)):
+            state = share * state + added
+            out[row] = state
+        memory.session_s, memory.elastic = float(when.session_s[-1]), loading.elastic[-1]
+        memory.state = state
+        return self.fraction * out

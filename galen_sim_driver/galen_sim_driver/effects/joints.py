@@ -100,6 +100,9 @@ class AtJoint(Effect):
         )
         return [cls.of(arm, joint) for joint in joints]
 
+    def limit_names(self, arm: Arm) -> tuple[str, ...]:
+        return arm.joint_names if self.of_a_joint else self.limit_parts
+
     @property
     def index(self) -> int:
         """Place of the joint."""
@@ -137,6 +140,52 @@ class JointGain(AtJoint):
     def true_joints(self, when: Instants, joints: Array) -> Array:
         true = joints.copy()
         true[:, self.index] *= 1.0 + self.gain
+        return true
+
+
+@dataclass(frozen=True)
+class JointEccentricity(AtJoint):
+    """true angle of `joint` = reported + `amplitude_rad` sin(`cycles` reported + `phase_rad`).
+
+    `vector` holds what multiplies sine and cosine of cycles times the reported angle, and cycles.
+    """
+
+    name = "joint_eccentricity"
+    fitted = (
+        Fitted("sine_rad", "rad", 0.005, -0.5, 0.5),
+        Fitted("cosine_rad", "rad", 0.005, -0.5, 0.5),
+        Fitted("cycles", "", 0.1, 1.0, 1e3),
+    )
+
+    amplitude_rad: float = param(0.0, "amplitude of the angle's error, rad", 0.0, 0.75)
+    cycles: float = param(1.0, "its periods in a turn of the joint", 1.0, 1e3)
+    phase_rad: float = param(0.0, "its phase where the joint reports 0, rad")
+
+    @property
+    def limit_parts(self) -> tuple[str, ...]:
+        return (self.joint,) * 2
+
+    @property
+    def changes_nothing(self) -> bool:
+        return self.amplitude_rad == 0.0
+
+    def vector(self) -> Array:
+        sine, cosine = np.cos(self.phase_rad), np.sin(self.phase_rad)
+        return np.array([self.amplitude_rad * sine, self.amplitude_rad * cosine, self.cycles])
+
+    def with_vector(self, vector: Array) -> Self:
+        sine, cosine, cycles = vector.tolist()
+        return replace(
+            self,
+            amplitude_rad=math.hypot(sine, cosine),
+            cycles=cycles,
+            phase_rad=math.atan2(cosine, sine),
+        )
+
+    def true_joints(self, when: Instants, joints: Array) -> Array:
+        true = joints.copy()
+        turned = self.cycles * joints[:, self.index] + self.phase_rad
+        true[:, self.index] += self.amplitude_rad * np.sin(turned)
         return true
 
 

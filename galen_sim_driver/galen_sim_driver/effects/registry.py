@@ -20,7 +20,9 @@ EFFECTS: dict[str, type[Effect]] = {
         *(sensor.SensorDrift, sensor.BiasStep, sensor.WrenchDelay, sensor.SensorSaturation),
         *(load.ToolMassError, load.ToolComError, load.LooseTool, load.CableDrag),
         *(load.InertialLoad, joints.JointCompliance, hysteresis.DeflectionHysteresis),
-        *(joints.Backlash, sensor.TrackerDelay, sensor.TrackerScale, sensor.BaseShift),
+        *(joints.Backlash, joints.JointEccentricity, sensor.SensorNonlinearity),
+        *(sensor.SensorHysteresis, hysteresis.DeflectionCreep, sensor.TrackerDelay),
+        *(sensor.TrackerScale, sensor.BaseShift),
     )
 }
 """Those of the contract's section 6, in its order; the compliance is that of the Galen."""
@@ -135,6 +137,5 @@ def limit_parts(arm: Arm) -> dict[str, tuple[str, ...]]:
     found: dict[str, dict[str, None]] = {}
     for effect in identities(arm).values():
         if effect.has_limit:
-            parts = arm.joint_names if effect.of_a_joint else effect.limit_parts
-            found.setdefault(effect.name, {}).update(dict.fromkeys(parts))
+            found.setdefault(effect.name, {}).update(dict.fromkeys(effect.limit_names(arm)))
     return {name: tuple(part for part in parts if part) for name, parts in found.items()}

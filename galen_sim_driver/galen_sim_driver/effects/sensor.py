@@ -12,6 +12,18 @@ Drift, with t the time of the recording:
 
 the rate is then the mean one, (last level - first level) over the time between them.
 
+Nonlinearity: reading_k = x + c x^2 of the reading x without it, or x + c x |x| (`signed`).
+
+Hysteresis: the reading lags the load, or with `side` -1 runs ahead of it. With x counted from where
+it was first and P its largest size, Bouc and Wen's state with the exponent 1 and their beta and
+gamma equal (Y.-K. Wen, J. Eng. Mech. Div. ASCE 102 (2), 1976, pp. 249-263) is
+
+    dz = (dx - (|dx| z + dx |z|) / 2) / (`knee` P),    reading = x - side c P z:
+
+straight while z goes to 0, and exponentially on from there. c is such that `fraction` of the
+largest load is left when it is gone. A driver, which knows one sample at a time, takes 10 N and
+1 N.m for the largest.
+
 The tracker's scale is about its own origin, so that both markers move away from it; rotations stay.
 After a registration of base_link from the tracker's readings only a scale about the mean of the
 tool's positions remains.
@@ -24,11 +36,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import ClassVar, Self
 
 import numpy as np
 from galen_common.parameters import param
+from galen_model.arm.arm import Arm
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.rotation import rotvec_to_matrix
@@ -41,6 +54,7 @@ from galen_sim_driver.effects.effect import (
     Instants,
     check_choice,
 )
+from galen_sim_driver.effects.hysteresis import GATE, along_turns
 
 
 @dataclass(frozen=True)
@@ -125,6 +139,175 @@ class Crosstalk(Effect):
         origin, target = WRENCH_AXES.index(self.from_axis), WRENCH_AXES.index(self.to_axis)
         changed[:, target] += coefficient * wrench[:, origin]
         return changed
+
+
+@dataclass(frozen=True)
+class SensorNonlinearity(Effect):
+    """reading of `axis` += `coefficient` times its square, with its sign where `signed`."""
+
+    name = "sensor_nonlinearity"
+    fitted = (Fitted("coefficient", "", 0.01, -10.0, 10.0),)
+    order = 2
+    beyond_contract = ("signed",)
+
+    axis: str = param("fz", "the axis that isn't linear: fx fy fz tx ty tz")
+    coefficient: float = param(0.0, "what it reads too much over its square, 1/N or 1/Nm")
+    signed: bool = param(False, "whether that has the sign of the reading, and not its own")
+
+    @property
+    def limit_parts(self) -> tuple[str, ...]:
+        return (self.axis,)
+
+    def limit_names(self, arm: Arm) -> tuple[str, ...]:
+        return WRENCH_AXES
+
+    def validate(self) -> None:
+        check_choice(self.name, "axis", self.axis, WRENCH_AXES)
+
+    def read(self, when: Instants, wrench: Array) -> Array:
+        read, (x, c) = wrench.copy(), self._of(wrench)
+        read[:, WRENCH_AXES.index(self.axis)] += c * x**2
+        return read
+
+    def unread(self, when: Instants, reading: Array) -> Array:
+        """Return the root that is the reading at a coefficient of 0, or where it bends back."""
+        true, (y, c) = reading.copy(), self._of(reading)
+        root = np.sqrt(np.maximum(1.0 + 4.0 * c * y, 0.0))
+        true[:, WRENCH_AXES.index(self.axis)] = 2.0 * y / (1.0 + root)
+        return true
+
+    def _of(self, wrench: Array) -> tuple[Array, Array]:
+        """Return the axis (n,), and the coefficient (n,) of its square."""
+        own = wrench[:, WRENCH_AXES.index(self.axis)]
+        return own, self.coefficient * (np.sign(own) if self.signed else np.ones(len(own)))
+
+
+_TYPICAL_LARGEST = np.array([10.0] * 3 + [1.0] * 3)
+_PAUSE_S = 1.0
+_TURNS = 4
+AXES: Mapping[str, tuple[int, ...]] = {
+    "all": (0, 1, 2, 3, 4, 5),
+    "force": (0, 1, 2),
+    "torque": (3, 4, 5),
+    **{name: (axis,) for axis, name in enumerate(WRENCH_AXES)},
+}
+"""Axes that have hysteresis together."""
+
+
+class _Lagging:
+    """A driver's last wrench (6,), and the states (6,) then."""
+
+    def __init__(self) -> None:
+        self.last: Array | None = None
+        self.state = np.zeros(6)
+
+
+@dataclass(frozen=True)
+class SensorHysteresis(Effect):
+    """The reading lags the load, and keeps `fraction` of the largest when it is gone.
+
+    `vector` holds the fraction with its side's sign, and the knee.
+    """
+
+    name = "sensor_hysteresis"
+    fitted = (Fitted("signed_fraction", "", 0.02, -0.5, 0.5), Fitted("knee", "", 0.1, 0.02, 1.0))
+    order = 2
+    limit_parts = ("",)
+    beyond_contract = ("side", "knee", "axes", "restarts")
+
+    fraction: float = param(0.0, "what is left of the largest load when it is gone", 0.0, 0.5)
+    side: float = param(
+        1.0, "1: it is left on the load's side, as by friction; -1: on the other", -1.0, 1.0
+    )
+    knee: float = param(0.2, "load over which it turns, over the largest load", 0.02, 1.0)
+    axes: str = param("all", "which axes have it: all, force, torque, fx fy fz tx ty tz")
+    restarts: bool = param(
+        True, "whether what is left is gone after a second without readings, as in a bag"
+    )
+
+    _memory: ClassVar[_Lagging | None] = None
+
+    @property
+    def changes_nothing(self) -> bool:
+        return self.fraction == 0.0
+
+    def validate(self) -> None:
+        check_choice(self.name, "axes", self.axes, AXES)
+        if self.side not in (1.0, -1.0):
+            raise ConfigError(f"{self.name}: side is {self.side}, but must be 1 or -1")
+        if self._steepest >= 1.0:
+            raise ConfigError(
+                f"{self.name}: fraction is {self.fraction:g}, but with side 1 and knee"
+                f" {self.knee:g} it stays below {self.fraction / self._steepest:.3g}"
+            )
+
+    def vector(self) -> Array:
+        return np.array([self.side * self.fraction, self.knee])
+
+    def with_vector(self, vector: Array) -> Self:
+        signed, knee = vector.tolist()
+        side = -1.0 if signed < 0.0 else 1.0
+        return replace(self, fraction=abs(signed), side=side, knee=knee)
+
+    def fresh(self) -> Self:
+        new = replace(self)
+        # A dataclass's own way into its frozen fields; the memory is none of its numbers.
+        object.__setattr__(new, "_memory", _Lagging())
+        return new
+
+    def read(self, when: Instants, wrench: Array) -> Array:
+        return wrench - self.lag(when, wrench)
+
+    def unread(self, when: Instants, reading: Array) -> Array:
+        """Return the wrench whose reading it is, by iteration with the middle of its slopes."""
+        true, slope = reading, 1.0 - 0.5 * min(self._steepest, 1.0)
+        for _ in range(_TURNS):
+            true = true + (reading - self.read(when, true)) / slope
+        return true
+
+    def lag(self, when: Instants, wrench: Array) -> Array:
+        """Return by how much the reading of a wrench is behind it (n, 6)."""
+        out = np.zeros_like(wrench)
+        axes = np.array(AXES[self.axes])
+        if self._memory is not None:
+            for row, one in enumerate(wrench):
+                out[row, axes] = (_TYPICAL_LARGEST * self._next(self._memory, one))[axes]
+            return self._size * out
+        paused = (np.diff(when.bag_s) > _PAUSE_S) & self.restarts
+        for rows in np.split(np.arange(len(wrench)), np.flatnonzero(paused) + 1):
+            if len(rows):
+                loads = wrench[rows][:, axes] - wrench[rows[0], axes]
+                largest, rest = np.abs(loads).max(axis=0), np.zeros(len(axes))
+                slide = partial(_slide, self.knee * np.where(largest > 0.0, largest, 1.0))
+                states = along_turns(loads, GATE * largest, slide, rest, rest)
+                out[np.ix_(rows, axes)] = largest * states
+        return self._size * out
+
+    def _next(self, memory: _Lagging, wrench: Array) -> Array:
+        change = 0.0 * wrench if memory.last is None else wrench - memory.last
+        memory.last = wrench
+        memory.state = _slide(self.knee * _TYPICAL_LARGEST, memory.state, change)
+        return memory.state
+
+    @property
+    def _size(self) -> float:
+        """Return side c."""
+        turned = -np.expm1(-1.0 / self.knee)
+        return self.side * self.fraction / float(-np.expm1(turned - 1.0 / self.knee))
+
+    @property
+    def _steepest(self) -> float:
+        """How much the reading is behind at most, over a small change of the load."""
+        return self._size / self.knee
+
+
+def _slide(length: Array, state: Array, change: Array) -> Array:
+    """Return states after straight changes; length: over which a state of 1 goes back to 0."""
+    sign, way = np.sign(change), np.abs(change) / length
+    along = sign * state
+    beyond = np.maximum(way + np.minimum(along, 0.0), 0.0)
+    on = 1.0 - (1.0 - np.maximum(along, 0.0)) * np.exp(-beyond)
+    return np.where(change == 0.0, state, sign * np.where(along + way < 0.0, along + way, on))
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,157 @@
+"""What every data sheet has: eccentricity, nonlinearity, hysteresis and creep, found with sizes."""
+
+import json
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from galen_diagnosis.answer.answer import Interval
+from galen_diagnosis.effects.candidates import plain_form
+from galen_diagnosis.effects.forms import Forms, healthy_background
+from galen_diagnosis.effects.registry import record_of
+from galen_diagnosis.effects.sensor import lagging_candidates, nonlinear_candidates
+from galen_diagnosis.inference.budget import beyond_chance, limits_of
+from galen_diagnosis.inference.refine import nothing, refine
+from galen_diagnosis.inference.search import _begun
+from galen_diagnosis.observation.observation import Observation, Unknowns
+from galen_diagnosis.observation.recording import read_recording
+from galen_diagnosis.observation.specification import (
+    CALIBRATED,
+    DEFAULT,
+    Specification,
+    specification_of,
+)
+from galen_diagnosis.simulated_recording import make_recording, sweep_poses
+from galen_model.arm.galen import GALEN
+from galen_model.errors import GalenError
+from galen_sim_driver.effects.effect import Instants
+from galen_sim_driver.effects.hysteresis import DeflectionCreep
+from galen_sim_driver.effects.joints import JointEccentricity
+from galen_sim_driver.effects.registry import contract_parameters, limit_parts
+from galen_sim_driver.effects.sensor import SensorHysteresis, SensorNonlinearity
+
+
+def recorded(folder, effects, bag="sweep"):
+    poses = sweep_poses(GALEN)[::2]
+    make_recording(folder, effects, 6, "retractor", arm=GALEN, poses=poses, bags=(bag,))
+    return read_recording(folder)
+
+
+@pytest.fixture(scope="module")
+def healthy(tmp_path_factory):
+    return Observation(recorded(tmp_path_factory.mktemp("healthy") / "made", ()))
+
+
+def with_lag(observation, effect):
+    """The recording as a sensor with this hysteresis would read it."""
+    recording = observation.recording
+    bag, view = recording.bags["sweep"], observation.views["sweep"]
+    thin = observation.nominal_reading("sweep")
+    at_s = view.scene.wrench_s[view.shows]
+    load = np.stack([np.interp(bag.wrench_s, at_s, axis) for axis in thin.T], axis=1)
+    lag = effect.lag(Instants("sweep", bag.wrench_s, bag.wrench_s), load)
+    return replace(recording, bags={"sweep": replace(bag, wrenches=bag.wrenches - lag)})
+
+
+def test_columns_of_the_sensor_are_what_the_simulator_does(healthy):
+    zero = np.stack(
+        [healthy.change((), Unknowns(np.eye(18)[k] * 0.01)) / 0.01 for k in range(6)], axis=1
+    )
+    for candidate in (
+        *nonlinear_candidates(healthy, zero)[::5],
+        *lagging_candidates(healthy, zero)[:9:4],
+    ):
+        size = 0.1 * candidate.typical
+        told = healthy.change([candidate.at(size)])
+        assert candidate.columns @ size == pytest.approx(told, abs=1e-6 + 0.01 * np.abs(told).max())
+        assert np.abs(told).max() > 0.01, candidate.label
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("effect", "bag"),
+    [
+        (JointEccentricity("tilt", 0.004, 2.0, 0.8), "sweep"),
+        (JointEccentricity("roll", 0.004, 1.3, 3.1), "sweep"),
+        (SensorNonlinearity("fy", 0.02, True), "sweep"),
+        (SensorNonlinearity("tz", -0.3), "sweep"),
+        (SensorHysteresis(0.02, -1.0, 0.3, "force"), "sweep"),
+        (DeflectionCreep(0.15, 1.5), "push"),
+    ],
+)
+def test_is_found_alone_with_its_size(effect, bag, healthy, tmp_path):
+    if isinstance(effect, SensorHysteresis):
+        recording = with_lag(healthy, effect)
+    else:
+        recording = recorded(tmp_path / "made", (effect,), bag)
+    observation = Observation(recording)
+    forms = Forms(observation)
+    none = nothing(observation, forms.behind)
+    judged = forms.judged(none.raw_rows, forms.behind)
+    candidate, found = max(judged, key=lambda pair: pair[1].log_bayes)
+    assert candidate.effect == effect.identity
+    part, start = _begun(candidate, found.theta)
+    fit = refine(observation, forms.behind, [part], [start], None, none.cost)
+    assert fit.log_bayes > 20.0
+    told = record_of(effect.name).parameters(observation, fit.effects[0])
+    for name, value in contract_parameters(effect).items():
+        assert told[name] == (value if isinstance(value, str) else pytest.approx(value, rel=0.12))
+
+
+LIMITS = {
+    "joint_eccentricity": {"tilt": 2e-4, "default": 4e-4},
+    "sensor_nonlinearity": {"tx": 8e-4, "default": 6e-4},
+    "sensor_hysteresis": 1e-3,
+    "deflection_creep": 0.01,
+}
+
+
+def specified(folder, limits):
+    path = folder / "specification.json"
+    path.write_text(json.dumps({"schema_version": 1, "limits": limits}))
+    return specification_of([path, CALIBRATED], limit_parts(GALEN))
+
+
+def test_each_may_have_a_limit_by_joint_or_axis(tmp_path):
+    found = specified(tmp_path, LIMITS)
+    assert found.std("joint_eccentricity", ("tilt",) * 2) == (1e-4,) * 2
+    assert found.limit("joint_eccentricity", "delta_x") == 4e-4
+    assert found.limit("sensor_nonlinearity", "tx") == 8e-4
+    assert found.limit("sensor_nonlinearity", "fz") == 6e-4
+    assert found.std("deflection_creep", ("",)) == (0.005,)
+    for effect, part in (("sensor_nonlinearity", "fq"), ("joint_eccentricity", "elbow")):
+        with pytest.raises(GalenError, match=f"limits.{effect}.{part} is not known"):
+            specified(tmp_path, {effect: {part: 0.1}})
+
+
+def test_within_its_limit_each_is_a_healthy_arms_tolerance(healthy, tmp_path):
+    usual = Observation(replace(healthy.recording, specification=specified(tmp_path, {})))
+    limited = Observation(replace(healthy.recording, specification=specified(tmp_path, LIMITS)))
+    plain, std = (healthy_background(one)[0].prior_std for one in (usual, limited))
+    # One and two cycles with two numbers at a joint; two squares of each axis; force and torque.
+    # Without pushes no creep is seen.
+    more = [int(np.sum(std == size) - np.sum(plain == size)) for size in (2e-4, 4e-4, 3e-4, 5e-4)]
+    assert more == [4, 2, 10, 2]
+    assert len(std) == len(plain) + 22
+
+
+def test_what_is_fitted_beside_a_size_has_no_limit(healthy):
+    draws = np.array([[1e-4, 1e-4, 3.0]])
+    for effect, numbers in (
+        (JointEccentricity("tilt"), draws),
+        (SensorHysteresis(), draws[:, [0, 2]]),
+        (DeflectionCreep(), draws[:, [0, 2]]),
+    ):
+        candidate = plain_form(effect)
+        named = {
+            key: Interval(value, None, None)
+            for key, value in contract_parameters(candidate.at(numbers[0])).items()
+            if not isinstance(value, str)
+        }
+        asked = Specification("made", "", {effect.name: {DEFAULT: 3e-4}})
+        observation = SimpleNamespace(recording=SimpleNamespace(specification=asked))
+        limits = limits_of(asked, candidate, named)
+        assert list(limits.values()) == [3e-4]
+        assert beyond_chance(observation, candidate, numbers, limits) == 0.0
+        assert beyond_chance(observation, candidate, 10.0 * numbers, limits) == 1.0
