@@ -33,7 +33,12 @@ from galen_sim_driver.effects.registry import contract_parameters
 from galen_sim_driver.replay import Replay
 
 from galen_diagnosis.effects.candidates import Candidate, linear_form, plain_form
-from galen_diagnosis.effects.diagnosed_effect import DiagnosedEffect, FileParts, no_forms
+from galen_diagnosis.effects.diagnosed_effect import (
+    DiagnosedEffect,
+    FileParts,
+    MujocoParts,
+    no_forms,
+)
 from galen_diagnosis.effects.general_shapes import SoftSaturation
 from galen_diagnosis.effects.table_data import DELAY_S, JointTerms, TablePlant, by_simulator, in_lag
 from galen_diagnosis.observation.observation import Observation
@@ -49,6 +54,10 @@ def _turned_further(
     file.remount("sensor_rotation", range(3), variances, mounting)
 
 
+def _turned_in_mujoco(effect: simulated.SensorMountRotation, parts: MujocoParts) -> None:
+    parts.element = parts.element @ rotvec_to_matrix(effect.rotvec_rad)
+
+
 SENSOR_MOUNT_ROTATION = DiagnosedEffect(
     name=simulated.SensorMountRotation.name,
     title="turned sensor",
@@ -57,6 +66,9 @@ SENSOR_MOUNT_ROTATION = DiagnosedEffect(
     tolerance=(0.1e-3,) * 3,  # as of joints' zeros
     in_table=by_simulator(simulated.SensorMountRotation()),
     in_file=_turned_further,
+    in_mujoco=_turned_in_mujoco,
+    mujoco="the `quat` of the sensor's `<site>`",
+    gazebo="the `<pose>` of the sensor, with `<force_torque><frame>` sensor",
 )
 
 
@@ -74,6 +86,8 @@ AXIS_GAIN = DiagnosedEffect(
     tolerance=(0.3e-3,) * 6,
     in_table=by_simulator(simulated.AxisGain()),
     in_file=_gains_on_gains,
+    mujoco="reading_k becomes (1 + gain_k) reading_k",
+    gazebo="no such thing: the same formula",
 )
 
 
@@ -131,6 +145,8 @@ CROSSTALK = DiagnosedEffect(
     in_table=lambda plant: [
         plant.columns(effect, {"from": a, "to": b}) for a, b, effect in crosstalks()
     ],
+    mujoco="coefficient times the reading of from_axis is added to that of to_axis",
+    gazebo="no such thing: the same formula",
 )
 
 
@@ -155,6 +171,8 @@ WRENCH_DELAY = DiagnosedEffect(
     known="firm",
     by_second=True,
     in_joint_runs=_late_torque,
+    mujoco="the reading stamped t is that of t - delay_s",
+    gazebo="no such thing: the same shift",
 )
 
 # Limits
@@ -315,4 +333,6 @@ SENSOR_SATURATION = DiagnosedEffect(
     known="loose",
     parameters=_saturation_parameters,
     in_table=lambda plant: list(_clipped_table(plant)),
+    mujoco="the axis' reading is clipped to ± limit; a sensor's `cutoff` clips three axes alike",
+    gazebo="no such thing: the same formula",
 )
