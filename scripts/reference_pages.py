@@ -17,6 +17,7 @@ from typing import Any
 
 import yaml
 from galen_common.parameters import markdown_table
+from galen_diagnosis.effects.registry import RECORDS
 from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -105,6 +106,15 @@ def definitions_page() -> str:
     return "\n".join(lines) + "\n"
 
 
+def simulators_page() -> str:
+    """Make the page of what a diagnosis' effects are in other simulators, by their records."""
+    lines = ["# Effects in MuJoCo and Gazebo", "", "| effect | MuJoCo | Gazebo |", "|---|---|---|"]
+    for record in RECORDS.values():
+        lacking = "" if record.in_mujoco else "no such thing: "
+        lines.append(f"| `{record.name}` | {lacking}{record.mujoco} | {record.gazebo} |")
+    return "\n".join(lines) + "\n"
+
+
 def api_pages() -> Iterator[tuple[str, str]]:
     """Make a page of each sub-package of galen_model, and one of its own modules."""
     top = ROOT / "galen_model" / "galen_model"
@@ -127,6 +137,7 @@ def reference() -> Iterator[tuple[str, str]]:
             package = setup.parent.name
             yield f"reference/commands/{package}.md", command_page(package, commands)
     yield "reference/definitions.md", definitions_page()
+    yield "reference/simulators.md", simulators_page()
     yield from api_pages()
     for source, page in readme_pages().items():
         yield page, relinked((ROOT / source).read_text(), source, page)

@@ -81,6 +81,7 @@ from galen_diagnosis.observation.specification import (
     specification_of,
 )
 from galen_diagnosis.report.corrections import corrections
+from galen_diagnosis.report.mujoco_model import MODEL, mujoco_model
 from galen_diagnosis.report.report import (
     COLUMNS,
     EFFECT,
@@ -108,6 +109,8 @@ _NOTES = """written to the output directory, whole or not at all:
   diagnosis.json     the answer, for programs
   report.html        the same with pictures, for people; opens without a network
   found_effect.yaml  what was found in a recording, as parameters of sim_driver_node
+  found_effect.mjcf.xml
+                     the arm with what was found, for MuJoCo
   corrected.urdf, corrected_TOOL.json
                      where what was identified can be corrected in the robot description or the
                      calibration file: the corrected ones
@@ -185,7 +188,8 @@ class Job:
         try:
             found = in_driver(recording, diagnosis.effects)
             driver = effect_file(answer.recording, found, recording.arm)
-            files |= {EFFECT: driver} if driver else {}
+            if driver is not None:
+                files |= {EFFECT: driver, MODEL: mujoco_model(recording, found)}
         except ConfigError as error:
             problem = f"{EFFECT} is not written: {error}"
             answer = replace(answer, problems=(*answer.problems, problem))

@@ -27,6 +27,7 @@ ALL = [
     "corrected.urdf",
     "corrected_retractor.json",
     "diagnosis.json",
+    "found_effect.mjcf.xml",
     "found_effect.yaml",
     "pictures",
     "report.html",
@@ -176,7 +177,7 @@ def test_two_effects_of_a_kind_are_a_problem_and_no_file(recordings, monkeypatch
     twice = replace(diagnosed_as("identified"), effects=diagnosed_as("identified").effects * 2)
     monkeypatch.setattr(diagnose, "diagnose_recording", lambda recording, progress=None: twice)
     assert run("identified", "--no-report", "--output", "o") == 0
-    assert not Path("o/found_effect.yaml").exists()
+    assert not list(Path("o").glob("found_effect.*"))
     content = json.loads(Path("o/diagnosis.json").read_text())
     assert "found_effect.yaml is not written" in content["problems"][-1]
 

@@ -31,6 +31,14 @@ def test_an_effect_that_is_looked_for_shows_in_some_form():
         assert record.jump is not None or any(hook is not no_forms for hook in hooks), identity
 
 
+@pytest.mark.parametrize("name", RECORDS)
+def test_a_record_tells_what_its_effect_is_in_other_simulators(name):
+    record = RECORDS[name]
+    assert record.mujoco and record.gazebo and "|" not in record.mujoco + record.gazebo
+    # Numbers in braces, as records' other words have them, stand for nothing here.
+    assert "{" not in record.mujoco + record.gazebo
+
+
 @pytest.mark.parametrize("room", ROOMS)
 def test_no_other_room_names_an_effect(room):
     for file in (Path(registry.__file__).parents[1] / room).rglob("*.py"):

@@ -15,6 +15,7 @@ from galen_model.arm.arm import Arm
 from galen_model.arrays import Array
 from galen_model.evidence.held_out import Columns
 from galen_model.files.calibration_file import CalibrationFile
+from galen_model.load.model import Load
 from galen_model.load.mounting import Mounting
 from galen_sim_driver.effects.effect import Effect
 from galen_sim_driver.effects.registry import contract_parameters
@@ -53,6 +54,29 @@ class FileParts:
         self.mounting = mounting
         self.spread[at, at] += variances
         self.estimated.append(name)
+
+
+@dataclass
+class MujocoParts:
+    """What a MuJoCo model is made of: the arm as it is.
+
+    arm: with its geometry and stiffness. gravity_m_s2 (3,): in its base. tip_m (3,) and element
+    (3, 3), the axes in which the sensor reads: in the sensor's frame. accelerating_kg: of tool and
+    adapter, whose inertia about their own centres is own_kg_m2 (6,). By joint: zero (rad) and gain
+    of the true value over the reported one, friction (N or N.m), attributes of a gap's joint.
+    """
+
+    arm: Arm
+    gravity_m_s2: Array
+    tool: Load
+    tip_m: Array
+    element: Array = field(default_factory=lambda: np.eye(3))
+    accelerating_kg: float = 0.0
+    own_kg_m2: Array = field(default_factory=lambda: np.zeros(6))
+    zero: dict[str, float] = field(default_factory=dict)
+    gain: dict[str, float] = field(default_factory=dict)
+    friction: dict[str, float] = field(default_factory=dict)
+    gap: dict[str, dict[str, Any]] = field(default_factory=dict)
 
 
 def _plain(_: Observation, effect: Effect) -> Iterable[Candidate]:
@@ -140,6 +164,15 @@ class DiagnosedEffect:
     """Put it into a calibration file's parts, with the variances of its numbers."""
     advice: Callable[[Any, DiagnosticRecording], str | None] = lambda effect, recording: None
     """A sentence on what no such file holds."""
+
+    # --- in other simulators -----------------------------------------------------------------
+
+    in_mujoco: Callable[[Any, MujocoParts], None] | None = None
+    """Put it into a MuJoCo model's parts; None where MuJoCo has no such thing."""
+    mujoco: str = ""
+    """What it is there or, where there is no such thing, what it does to what is read."""
+    gazebo: str = ""
+    """The same in Gazebo: elements of SDF."""
 
     @property
     def kappa(self) -> float:

@@ -136,6 +136,9 @@ SENSOR_DRIFT = DiagnosedEffect(
     later=lambda effect: SensorDrift(rate_per_hour=tuple(effect.vector().tolist())),
     of_time=True,
     in_table=lambda plant: drift_columns(plant.at_s, plant.by_order),
+    mujoco="rate_per_hour t / 3600 s or, where there are knots, the line through levels at knots_s"
+    " is added to the reading, t since the recording's start",
+    gazebo="a random one: `<noise><dynamic_bias_stddev>`; else the same formula",
 )
 
 
@@ -169,4 +172,6 @@ BIAS_STEP = DiagnosedEffect(
     known="firm",
     of_time=True,
     in_table=_steps_in_table,
+    mujoco="step is added to the reading from time_s of bag on",
+    gazebo="no such thing: the same formula",
 )

@@ -27,7 +27,7 @@ from galen_sim_driver.effects import joints as simulated
 from scipy.spatial.transform import Rotation
 
 from galen_diagnosis.effects.candidates import Candidate, freed, plain_form
-from galen_diagnosis.effects.diagnosed_effect import DiagnosedEffect, FileParts
+from galen_diagnosis.effects.diagnosed_effect import DiagnosedEffect, FileParts, MujocoParts
 from galen_diagnosis.effects.table_data import STEP, TablePlant, numbers_of
 from galen_diagnosis.observation.observation import Observation
 from galen_diagnosis.observation.recording import DiagnosticRecording
@@ -61,6 +61,10 @@ def _text(vector: Array) -> str:
     return " ".join(repr(float(value)) for value in vector)
 
 
+def _zero_in_mujoco(effect: simulated.JointZeroOffset, parts: MujocoParts) -> None:
+    parts.zero[effect.joint] = effect.offset_rad
+
+
 JOINT_ZERO_OFFSET = DiagnosedEffect(
     name=simulated.JointZeroOffset.name,
     title="zero of the {joint} joint",
@@ -68,7 +72,15 @@ JOINT_ZERO_OFFSET = DiagnosedEffect(
     remedy="set the {joint} joint's zero in its driver or in the robot description",
     healthy=True,
     in_description=_zero_in_description,
+    in_mujoco=_zero_in_mujoco,
+    mujoco="the joint's `ref`, -offset_rad: true = qpos - ref",
+    gazebo="the joint's `<pose>`, turned about its axis by offset_rad",
 )
+
+
+def _gain_in_mujoco(effect: simulated.JointGain, parts: MujocoParts) -> None:
+    parts.gain[effect.joint] = effect.gain
+
 
 JOINT_GAIN = DiagnosedEffect(
     name=simulated.JointGain.name,
@@ -81,6 +93,9 @@ JOINT_GAIN = DiagnosedEffect(
         f"no robot description holds the gain of {effect.joint}: have the driver report"
         f" {1.0 + effect.gain:.6f} times its angle"
     ),
+    in_mujoco=_gain_in_mujoco,
+    mujoco="the `gear` of the joint's actuator, 1/(1 + gain): its length is the reported joint",
+    gazebo="no such thing: command (1 + gain) times the joint",
 )
 
 
@@ -109,6 +124,8 @@ JOINT_ECCENTRICITY = DiagnosedEffect(
     forms=_eccentricities,
     most_forms=2,
     known="firm",
+    mujoco="qpos is reported + amplitude_rad sin(cycles reported + phase_rad)",
+    gazebo="no such thing: the same formula",
 )
 
 
@@ -133,6 +150,10 @@ def _axis_in_description(
     _part(joints[effect.joint], "axis").set("xyz", _text(true.joints[effect.index].axis))
 
 
+def _axis_in_mujoco(effect: simulated.JointAxisMisalignment, parts: MujocoParts) -> None:
+    parts.arm = effect.misaligned(parts.arm)
+
+
 JOINT_AXIS_MISALIGNMENT = DiagnosedEffect(
     name=simulated.JointAxisMisalignment.name,
     title="direction of the {joint} axis",
@@ -143,6 +164,9 @@ JOINT_AXIS_MISALIGNMENT = DiagnosedEffect(
     forms=_misalignments,
     known="firm",
     in_description=_axis_in_description,
+    in_mujoco=_axis_in_mujoco,
+    mujoco="the joint's `axis`",
+    gazebo="the joint's `<axis><xyz>`",
 )
 
 
@@ -191,6 +215,10 @@ def _level_frame(effect: simulated.BaseInclination, recording: DiagnosticRecordi
     )
 
 
+def _inclined_in_mujoco(effect: simulated.BaseInclination, parts: MujocoParts) -> None:
+    parts.gravity_m_s2 = effect.gravity(parts.gravity_m_s2)
+
+
 BASE_INCLINATION = DiagnosedEffect(
     name=simulated.BaseInclination.name,
     title="inclined base",
@@ -200,4 +228,7 @@ BASE_INCLINATION = DiagnosedEffect(
     in_table=_inclinations,
     in_file=_inclined_further,
     advice=_level_frame,
+    in_mujoco=_inclined_in_mujoco,
+    mujoco="`<option gravity>`",
+    gazebo="`<world><gravity>`",
 )

@@ -12,12 +12,14 @@ import numpy as np
 from galen_model.arrays import Array
 from galen_model.evidence.held_out import Columns
 from galen_model.files.calibration_file import CalibrationFile
+from galen_model.load.model import Load
 from galen_model.rotation import skew
 from galen_sim_driver.effects import load as simulated
+from galen_sim_driver.effects.effect import Effect
 from galen_sim_driver.effects.registry import contract_parameters
 
 from galen_diagnosis.effects.candidates import Candidate, floats, plain_form
-from galen_diagnosis.effects.diagnosed_effect import DiagnosedEffect, FileParts
+from galen_diagnosis.effects.diagnosed_effect import DiagnosedEffect, FileParts, MujocoParts
 from galen_diagnosis.effects.general_shapes import ForceField
 from galen_diagnosis.effects.table_data import LEVER_M, TablePlant, by_simulator
 from galen_diagnosis.observation.observation import UNKNOWNS, Observation, Unknowns
@@ -32,6 +34,12 @@ def _mass_added(effect: simulated.ToolMassError, file: FileParts, variances: Arr
     file.covariance[0, 0] += variances[0]
 
 
+def _load_in_mujoco(effect: Effect, parts: MujocoParts) -> None:
+    here = np.reshape(parts.tool.com_m, (1, 3))
+    mass_kg, com_m = effect.tool_load(parts.tool.mass_kg, here, np.zeros((1, 3)))
+    parts.tool = Load(mass_kg, com_m[0])
+
+
 TOOL_MASS_ERROR = DiagnosedEffect(
     name=simulated.ToolMassError.name,
     title="tool's mass",
@@ -42,6 +50,9 @@ TOOL_MASS_ERROR = DiagnosedEffect(
     of_the_tool=True,
     in_table=by_simulator(simulated.ToolMassError(), of_the_load=True),
     in_file=_mass_added,
+    in_mujoco=_load_in_mujoco,
+    mujoco="the load's `<inertial mass>`",
+    gazebo="`<inertial><mass>`",
 )
 
 
@@ -64,6 +75,9 @@ TOOL_COM_ERROR = DiagnosedEffect(
     of_the_tool=True,
     in_table=by_simulator(simulated.ToolComError(), of_the_load=True),
     in_file=_centre_moved,
+    in_mujoco=_load_in_mujoco,
+    mujoco="the load's `<inertial pos>`",
+    gazebo="`<inertial><pose>`",
 )
 
 LOOSE_TOOL = DiagnosedEffect(
@@ -76,7 +90,16 @@ LOOSE_TOOL = DiagnosedEffect(
     swings=True,
     of_the_tool=True,
     in_table=by_simulator(simulated.LooseTool()),
+    mujoco="the tool's centre moves by shift_m (d_x, d_y, 0), d the direction of gravity in the"
+    " sensor's frame: set body_ipos at each step",
+    gazebo="no such thing: the same motion of the centre",
 )
+
+
+def _inertia_in_mujoco(effect: simulated.InertialLoad, parts: MujocoParts) -> None:
+    parts.accelerating_kg = effect.mass_kg
+    parts.own_kg_m2 = np.array(effect.own_inertia_kg_m2)
+
 
 INERTIAL_LOAD = DiagnosedEffect(
     name=simulated.InertialLoad.name,
@@ -91,6 +114,10 @@ INERTIAL_LOAD = DiagnosedEffect(
         else "inertial forces: subtract them with gravcomp_node's parameter motion, and diagnose"
         " with --inertial-forces"
     ),
+    in_mujoco=_inertia_in_mujoco,
+    mujoco="the load's `fullinertia`, and how much of MuJoCo's inertial forces is read: `<numeric>`"
+    " inertial_share",
+    gazebo="`<inertial>`: its inertial forces are always read",
 )
 
 # Cable
@@ -240,4 +267,8 @@ CABLE_DRAG = DiagnosedEffect(
     known="loose",
     of_the_tool=True,
     in_table=_cable_in_table,
+    mujoco="a pull from attachment_m (sensor's frame) towards anchor_m (base's) of tension_n"
+    " (1 + stretch_per_m (d - d_0)), or 0 where that is less, d the distance, d_0 that at"
+    " reference_m; give it in xfrc_applied, since tendons do not reach a force sensor",
+    gazebo="no such thing: the same pull by `ApplyLinkWrench`",
 )

@@ -33,7 +33,12 @@ from galen_sim_driver.effects.registry import contract_parameters
 from galen_sim_driver.replay import Between, Replay
 
 from galen_diagnosis.effects.candidates import Candidate, freed, linear_form, plain_form
-from galen_diagnosis.effects.diagnosed_effect import DiagnosedEffect, FileParts, no_forms
+from galen_diagnosis.effects.diagnosed_effect import (
+    DiagnosedEffect,
+    FileParts,
+    MujocoParts,
+    no_forms,
+)
 from galen_diagnosis.effects.general_shapes import SoftSaturation
 from galen_diagnosis.effects.table_data import DELAY_S, JointTerms, TablePlant, by_simulator, in_lag
 from galen_diagnosis.observation.observation import Observation
@@ -49,6 +54,10 @@ def _turned_further(
     file.remount("sensor_rotation", range(3), variances, mounting)
 
 
+def _turned_in_mujoco(effect: simulated.SensorMountRotation, parts: MujocoParts) -> None:
+    parts.element = parts.element @ rotvec_to_matrix(effect.rotvec_rad)
+
+
 SENSOR_MOUNT_ROTATION = DiagnosedEffect(
     name=simulated.SensorMountRotation.name,
     title="turned sensor",
@@ -57,6 +66,9 @@ SENSOR_MOUNT_ROTATION = DiagnosedEffect(
     healthy=True,
     in_table=by_simulator(simulated.SensorMountRotation()),
     in_file=_turned_further,
+    in_mujoco=_turned_in_mujoco,
+    mujoco="the `quat` of the sensor's `<site>`",
+    gazebo="the `<pose>` of the sensor, with `<force_torque><frame>` sensor",
 )
 
 
@@ -73,6 +85,8 @@ AXIS_GAIN = DiagnosedEffect(
     healthy=True,
     in_table=by_simulator(simulated.AxisGain()),
     in_file=_gains_on_gains,
+    mujoco="reading_k becomes (1 + gain_k) reading_k",
+    gazebo="no such thing: the same formula",
 )
 
 
@@ -138,6 +152,8 @@ CROSSTALK = DiagnosedEffect(
     in_table=lambda plant: [
         plant.columns(effect, {"from": a, "to": b}) for a, b, effect in crosstalks()
     ],
+    mujoco="coefficient times the reading of from_axis is added to that of to_axis",
+    gazebo="no such thing: the same formula",
 )
 
 
@@ -172,6 +188,12 @@ SENSOR_NONLINEARITY = DiagnosedEffect(
     columns=nonlinear_candidates,
     most_forms=2,
     known="firm",
+    in_table=lambda plant: [
+        plant.columns(simulated.SensorNonlinearity(axis=axis, signed=signed), {"axis": axis})
+        for axis, signed in product(WRENCH_AXES, (False, True))
+    ],
+    mujoco="reading becomes reading + coefficient reading², times its sign where signed",
+    gazebo="no such thing: the same formula",
 )
 
 
@@ -213,6 +235,8 @@ SENSOR_HYSTERESIS = DiagnosedEffect(
     most_forms=2,
     known="rough",
     remembers=True,
+    mujoco="no such thing: the reading follows the load by a play of the largest load's fraction",
+    gazebo="no such thing: the same play",
 )
 
 
@@ -236,6 +260,8 @@ WRENCH_DELAY = DiagnosedEffect(
     known="firm",
     by_second=True,
     in_joint_runs=_late_torque,
+    mujoco="the reading stamped t is that of t - delay_s",
+    gazebo="no such thing: the same shift",
 )
 
 # Limits
@@ -396,4 +422,6 @@ SENSOR_SATURATION = DiagnosedEffect(
     known="loose",
     parameters=_saturation_parameters,
     in_table=lambda plant: list(_clipped_table(plant)),
+    mujoco="the axis' reading is clipped to ± limit; a sensor's `cutoff` clips three axes alike",
+    gazebo="no such thing: the same formula",
 )

@@ -18,6 +18,8 @@ TRACKER_DELAY = DiagnosedEffect(
     healthy=True,
     known="firm",
     by_second=True,
+    mujoco="the tip's pose stamped t is that of t - delay_s",
+    gazebo="no such thing: the same shift",
 )
 
 TRACKER_SCALE = DiagnosedEffect(
@@ -27,6 +29,8 @@ TRACKER_SCALE = DiagnosedEffect(
     remedy="have the tracker calibrated",
     needs="tracker",
     healthy=True,
+    mujoco="positions in the tracker's frame are (1 + gain) times the site's",
+    gazebo="no such thing: the same formula",
 )
 
 BASE_SHIFT = DiagnosedEffect(
@@ -45,4 +49,7 @@ BASE_SHIFT = DiagnosedEffect(
         tracked=True,
     ),
     known="firm",
+    mujoco="from time_s of push on the base marker is displaced by translation_m and rotvec_rad"
+    " along the base's axes",
+    gazebo="no such thing: the same displacement",
 )

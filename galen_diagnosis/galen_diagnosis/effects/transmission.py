@@ -27,12 +27,16 @@ from galen_model.arrays import Array
 from galen_model.evidence.held_out import Columns
 from galen_model.transmission import TORQUE_PLAYS
 from galen_sim_driver.effects.effect import Effect
-from galen_sim_driver.effects.hysteresis import DeflectionCreep, DeflectionHysteresis
-from galen_sim_driver.effects.joints import CROSSINGS, Backlash, JointCompliance
+from galen_sim_driver.effects.hysteresis import (
+    DeflectionCreep,
+    DeflectionHysteresis,
+    joint_columns,
+)
+from galen_sim_driver.effects.joints import CROSSINGS, SEAT, Backlash, JointCompliance
 from galen_sim_driver.effects.registry import contract_parameters
 
 from galen_diagnosis.effects.candidates import Candidate, floats, freed, plain_form
-from galen_diagnosis.effects.diagnosed_effect import DiagnosedEffect
+from galen_diagnosis.effects.diagnosed_effect import DiagnosedEffect, MujocoParts
 from galen_diagnosis.effects.general_shapes import FrictionInJoints
 from galen_diagnosis.effects.table_data import DELAY_S, JointTerms, in_lag
 from galen_diagnosis.observation.observation import Observation
@@ -65,6 +69,10 @@ def _spring_of_runs(terms: JointTerms) -> list[Columns]:
     return [Columns(column, {"k": stiffness}, allowed=lambda w: bool(w[0] > 0.0))]
 
 
+def _springs_in_mujoco(effect: Effect, parts: MujocoParts) -> None:
+    parts.arm = effect.arm(parts.arm)
+
+
 JOINT_COMPLIANCE = DiagnosedEffect(
     name=JointCompliance.name,
     title="stiffness of the arm",
@@ -75,6 +83,9 @@ JOINT_COMPLIANCE = DiagnosedEffect(
     forms=_compliances,
     known="firm",
     in_joint_runs=_spring_of_runs,
+    in_mujoco=_springs_in_mujoco,
+    mujoco="`kp` of the joint's `<position>`; a delta's carriages and rods are rigid there",
+    gazebo="`<dynamics><spring_stiffness>` of a joint behind the driven one",
 )
 
 
@@ -153,6 +164,20 @@ def _loops_of_runs(terms: JointTerms) -> list[Columns]:
     return ways
 
 
+_PUSH_N = 10.0
+
+
+def _friction_in_mujoco(effect: DeflectionHysteresis, parts: MujocoParts) -> None:
+    """Friction F beside a spring under a push u: (u - F) / k under it, F / k after it."""
+    arm = parts.arm
+    loads = _PUSH_N * np.linalg.norm(joint_columns(arm.home, parts.tip_m, arm)[:3], axis=0)
+    share = effect.residual_fraction / (1.0 + effect.residual_fraction)
+    if effect.side > 0.0:
+        for joint, load in zip(arm.joints, loads, strict=False):
+            if np.isfinite(joint.stiffness):
+                parts.friction[joint.name] = share * float(load)
+
+
 DEFLECTION_HYSTERESIS = DiagnosedEffect(
     name=DeflectionHysteresis.name,
     title="hysteresis of the deflection",
@@ -166,6 +191,10 @@ DEFLECTION_HYSTERESIS = DiagnosedEffect(
     known="rough",
     remembers=True,
     in_joint_runs=_loops_of_runs,
+    in_mujoco=_friction_in_mujoco,
+    mujoco="`frictionloss` of the joints that give: it leaves residual_fraction after a push of"
+    " 10 N; no such thing for a delta's rods, or where the tip runs ahead (side -1)",
+    gazebo="`<dynamics><friction>`",
 )
 
 
@@ -190,6 +219,8 @@ DEFLECTION_CREEP = DiagnosedEffect(
     forms=_creeps,
     known="loose",
     remembers=True,
+    mujoco="no such thing: a spring and a damper in series with the joint's spring",
+    gazebo="no such thing: the same",
 )
 
 
@@ -215,6 +246,13 @@ def _gap_of_runs(terms: JointTerms) -> list[Columns]:
     ]
 
 
+def _gap_in_mujoco(effect: Backlash, parts: MujocoParts) -> None:
+    half = 0.5 * effect.gap_rad
+    moment = effect.seat * SEAT[parts.arm.units[effect.index]]
+    holds = {"stiffness": moment / half} if effect.crossing == "soft" else {"frictionloss": moment}
+    parts.gap[effect.joint] = {"range": np.array([-half, half]), **holds}
+
+
 BACKLASH = DiagnosedEffect(
     name=Backlash.name,
     title="backlash",
@@ -225,6 +263,10 @@ BACKLASH = DiagnosedEffect(
     known="rough",
     remembers=True,
     in_joint_runs=_gap_of_runs,
+    in_mujoco=_gap_in_mujoco,
+    mujoco="a second joint of `range` ± gap_rad/2, with `frictionloss` or, of a soft gap,"
+    " `stiffness`; its lag in motion without a load is no part of it",
+    gazebo="a second joint of `<limit>` ± gap_rad/2 with `<dynamics><friction>`",
 )
 
 ENCODER_DELAY = DiagnosedEffect(
@@ -235,6 +277,8 @@ ENCODER_DELAY = DiagnosedEffect(
     in_joint_runs=lambda terms: [
         in_lag(DELAY_S * terms.column["delay"], "delay_s", lambda w: DELAY_S * w[0])
     ],
+    mujoco="the link's angle stamped t is that of t - delay_s",
+    gazebo="no such thing: the same shift",
 )
 
 GEAR_ERROR = DiagnosedEffect(
@@ -245,4 +289,6 @@ GEAR_ERROR = DiagnosedEffect(
     in_joint_runs=lambda terms: [
         in_lag(_GEAR * terms.column["gear"], "gain", lambda w: _GEAR * w[0])
     ],
+    mujoco="the `gear` of the joint's actuator, 1/(1 + gain)",
+    gazebo="no such thing: command (1 + gain) times the joint",
 )

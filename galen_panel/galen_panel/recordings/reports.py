@@ -39,10 +39,10 @@ _FILES = {
     PICTURE: (PICTURE, "image/png"),
     "diagnosis.json": (f"{DIAGNOSIS_FOLDER}/diagnosis.json", "application/json"),
     "report.html": (f"{DIAGNOSIS_FOLDER}/report.html", "text/html; charset=utf-8"),
-    "found_effect.yaml": (
-        f"{DIAGNOSIS_FOLDER}/found_effect.yaml",
-        "text/plain; charset=utf-8",
-    ),
+    **{
+        name: (f"{DIAGNOSIS_FOLDER}/{name}", "text/plain; charset=utf-8")
+        for name in ("found_effect.yaml", "found_effect.mjcf.xml")
+    },
 }
 KINDS = {"evaluate": "Evaluation", "diagnose": "Diagnosis"}
 """Of a job or a report, with its word."""

@@ -409,7 +409,8 @@ JointCompliance = compliance(GALEN)
 """That of the Galen: of roll, tilt, carriages and rods, in this order."""
 
 
-_SEAT = {"m": 0.5, "rad": 0.05}
+SEAT = {"m": 0.5, "rad": 0.05}
+"""What moves a joint through its gap at `seat` 1, N or N.m."""
 _STILL = {"m": 5e-5, "rad": 5e-4}
 """Joints that move by less, m or rad, stand: some ten quanta of the encoders."""
 
@@ -498,7 +499,7 @@ class Backlash(AtJoint):
         new = np.concatenate([[True], np.any(np.diff(joints, axis=0) != 0.0, axis=1)])
         columns = loading.arm.tip_jacobian(joints[new], loading.tip_m)[..., index]
         column = columns[np.cumsum(new) - 1]
-        loads = np.einsum("ni,ni->n", column, loading.wrench) / (self.seat * _SEAT[unit])
+        loads = np.einsum("ni,ni->n", column, loading.wrench) / (self.seat * SEAT[unit])
         if self.crossing == "soft":
             rest = 2.0 * self.start
             shifted = np.tanh(loads + rest) - np.tanh(rest)
