@@ -103,6 +103,8 @@ EXIT_GAP = 3
 _WRENCH = frozenset(WRENCH_AXES)
 _READ, _DIAGNOSED = 0.1, 0.75
 """Parts of the time that reading and diagnosing take; the rest is for the report."""
+_ENTRIES = [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]
+"""Of a tensor: xx yy zz xy xz yz."""
 _RUNS, _BLOCKS = 4, 6
 """From so many runs of a joint on whole runs are held out, else so many blocks of time."""
 _NOTES = """written to the output directory, whole or not at all:
@@ -204,7 +206,7 @@ def in_driver(recording: DiagnosticRecording, effects: Sequence[Effect]) -> tupl
     inertia = recording.inertia_kg_m2
     if not effects:
         return ()
-    effects = (*recording.mounted_effects, *effects)
+    effects = (*recording.mounted_effects, *map(_as_body, effects))
     if inertia is None:
         return effects
     loads = recording.tool.load.load, recording.tool.adapter.load
@@ -212,8 +214,23 @@ def in_driver(recording: DiagnosticRecording, effects: Sequence[Effect]) -> tupl
     own = inertia - point_mass_inertia(*loads) + np.array(beyond.own_inertia_kg_m2)
     mass_kg = sum(load.mass_kg for load in loads) + beyond.mass_kg
     mass_kg += sum(e.delta_kg for e in effects if isinstance(e, ToolMassError))
-    whole = InertialLoad(mass_kg, tuple(own.tolist()))
+    whole = _as_body(InertialLoad(mass_kg, tuple(own.tolist())))
     return (*(e for e in effects if not isinstance(e, InertialLoad)), whole)
+
+
+def _as_body(effect: Effect) -> Effect:
+    """Return an effect whose own inertia is the nearest that a body can have.
+
+    That is one whose second moments of mass, J = tr(I) / 2 - I, are not negative.
+    """
+    if not isinstance(effect, InertialLoad) or not any(effect.own_inertia_kg_m2):
+        return effect
+    xx, yy, zz, xy, xz, yz = effect.own_inertia_kg_m2
+    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    sizes, axes = np.linalg.eigh(0.5 * np.trace(inertia) * np.eye(3) - inertia)
+    moments = (axes * np.maximum(sizes, 0.0)) @ axes.T
+    body = np.trace(moments) * np.eye(3) - moments
+    return replace(effect, own_inertia_kg_m2=tuple(body[_ENTRIES].tolist()))
 
 
 def _draw(diagnosis: Diagnosis, folder: Path) -> Mapping[str, Path]:
@@ -269,7 +286,7 @@ def build_parser(kind: Kind = "recording") -> argparse.ArgumentParser:
             default=(),
             metavar=name,
             help="earlier ones of the same arm and tool, by time: what has changed since is"
-            f" diagnosed (of recordings beyond {DAY_TO_DAY:.0%} of the limits)",
+            f" diagnosed (of recordings beyond {DAY_TO_DAY} of the limits)",
         )
         (_add_table_options if kind == "table" else _add_recording_options)(parser)
     return parser

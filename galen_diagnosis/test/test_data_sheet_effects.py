@@ -128,7 +128,7 @@ def test_each_may_have_a_limit_by_joint_or_axis(tmp_path):
 def test_within_its_limit_each_is_a_healthy_arms_tolerance(healthy, tmp_path):
     usual = Observation(replace(healthy.recording, specification=specified(tmp_path, {})))
     limited = Observation(replace(healthy.recording, specification=specified(tmp_path, LIMITS)))
-    plain, std = (healthy_background(one)[0].prior_std for one in (usual, limited))
+    plain, std = (healthy_background(one).prior_std for one in (usual, limited))
     # One and two cycles with two numbers at a joint; two squares of each axis; force and torque.
     # Without pushes no creep is seen.
     more = [int(np.sum(std == size) - np.sum(plain == size)) for size in (2e-4, 4e-4, 3e-4, 5e-4)]

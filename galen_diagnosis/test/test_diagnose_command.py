@@ -14,6 +14,7 @@ from diagnosis_example import example_diagnosis
 from galen_bags.formats.writer import BagWriter
 from galen_common.cdr import joint_state_bytes, wrench_bytes
 from galen_diagnosis.observation.recording import DiagnosticRecording
+from galen_diagnosis.observation.specification import Specification
 from galen_diagnosis.report import report
 from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
@@ -39,6 +40,9 @@ def diagnosed_as(verdict):
     return example_diagnosis(verdict)
 
 
+NO_LIMITS = Specification("none", "", {})
+
+
 @pytest.fixture
 def recordings(monkeypatch, tmp_path):
     """Work in a directory of its own; names of recordings are their verdicts."""
@@ -47,9 +51,9 @@ def recordings(monkeypatch, tmp_path):
         if path.name.startswith("broken"):
             raise GalenError(f"{path}: no directory with a recording")
         retractor = read_calibration(ROOT / "bags" / "tools" / "retractor.json", arm=GALEN)
-        return DiagnosticRecording(path.name, retractor, {}, (), (), arm=GALEN)
+        return DiagnosticRecording(path.name, retractor, {}, (), (), GALEN, NO_LIMITS)
 
-    def diagnosed(recording, progress=None):
+    def diagnosed(recording, progress=None, references=()):
         diagnosis = diagnosed_as(recording.name.split("_")[0])
         return replace(diagnosis, answer=replace(diagnosis.answer, recording=recording.name))
 
@@ -175,7 +179,9 @@ def test_next_says_where_there_is_nothing_to_separate(recordings, capsys):
 
 def test_two_effects_of_a_kind_are_a_problem_and_no_file(recordings, monkeypatch):
     twice = replace(diagnosed_as("identified"), effects=diagnosed_as("identified").effects * 2)
-    monkeypatch.setattr(diagnose, "diagnose_recording", lambda recording, progress=None: twice)
+    monkeypatch.setattr(
+        diagnose, "diagnose_recording", lambda recording, progress=None, references=(): twice
+    )
     assert run("identified", "--no-report", "--output", "o") == 0
     assert not list(Path("o").glob("found_effect.*"))
     content = json.loads(Path("o/diagnosis.json").read_text())
@@ -208,7 +214,7 @@ def test_the_truth_is_never_opened(monkeypatch, tmp_path, capsys):
     write_recording(tmp_path / "recording")
     seen = []
 
-    def diagnosed(recording, progress=None):
+    def diagnosed(recording, progress=None, references=()):
         seen.append(recording)
         return diagnosed_as("none")
 

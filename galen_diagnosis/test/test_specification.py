@@ -8,7 +8,7 @@ from galen_diagnosis.diagnose import main
 from galen_diagnosis.effects.forms import healthy_background
 from galen_diagnosis.observation.observation import Observation
 from galen_diagnosis.observation.recording import read_recording
-from galen_diagnosis.observation.specification import read_specification
+from galen_diagnosis.observation.specification import presets, specification_of
 from galen_diagnosis.simulated_recording import make_recording
 from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
@@ -33,7 +33,7 @@ def write(folder, limits, **more):
 
 
 def read(path):
-    return read_specification(path, {**limit_parts(GALEN), "sensor_hysteresis": ()})
+    return specification_of([path], limit_parts(GALEN))
 
 
 def test_a_limit_is_of_a_part_or_the_default(tmp_path):
@@ -42,7 +42,7 @@ def test_a_limit_is_of_a_part_or_the_default(tmp_path):
     assert found.limit("axis_gain", "fz") == 0.02
     assert found.limit("axis_gain", "tx") == 0.01
     assert found.limit("joint_zero_offset", "roll") == 0.002
-    assert found.limit("joint_gain", "roll") is None
+    assert found.limit("joint_gain", "roll") == read_default().limit("joint_gain")
     assert found.std("crosstalk", ("",)) == (0.002,)
 
 
@@ -71,6 +71,39 @@ def test_a_specification_of_another_version_is_rejected(tmp_path):
         read(write(tmp_path, LIMITS, schema_version=2))
 
 
+def test_what_a_file_leaves_out_comes_from_the_next_one_and_the_default(tmp_path):
+    path = write(tmp_path, {"axis_gain": {"fz": 0.5}, "backlash": 7.0})
+    both = specification_of([path, "ati_gamma"], limit_parts(GALEN))
+    gamma = specification_of(["ati_gamma"], limit_parts(GALEN))
+    assert (both.limit("axis_gain", "fz"), both.limit("backlash")) == (0.5, 7.0)
+    assert both.limit("axis_gain", "fx") == gamma.limit("axis_gain")
+    assert both.limit("loose_tool") == read_default().limit("loose_tool")
+    assert both.name == f"an arm and {gamma.name}"
+
+
+def read_default():
+    return specification_of(["default"], limit_parts(GALEN))
+
+
+@pytest.mark.parametrize("name", presets())
+def test_a_preset_has_a_source_of_each_limit_and_the_default_has_all(name):
+    found = specification_of([name], limit_parts(GALEN))
+    assert found.limits.keys() <= found.sources.keys()
+    assert name == "galen" or found.limits.keys() == limit_parts(GALEN).keys()
+    assert all(found.sources.values()) and found.name and found.source
+
+
+def test_limits_are_printed_with_their_sources(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["--show-specification", "ati_gamma", "ur5e"])
+    out = capsys.readouterr().out
+    assert ended.value.code == 0
+    assert "axis_gain" in out and "joint_zero_offset" in out and "assumed" in out
+    with pytest.raises(SystemExit):
+        main(["--show-specification", "no_such"])
+    assert "no_such: can't be read" in capsys.readouterr().err
+
+
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory):
     folder = tmp_path_factory.mktemp("specification") / "made"
@@ -80,9 +113,10 @@ def recording(tmp_path_factory):
 
 def test_half_a_limit_is_the_deviation_beside_every_cause(recording, tmp_path):
     plain = healthy_background(Observation(read_recording(recording))).prior_std
-    limited = read_recording(recording, specification=write(tmp_path, LIMITS))
+    limited = read_recording(recording, specification=[write(tmp_path, LIMITS), "galen"])
     std = healthy_background(Observation(limited)).prior_std
-    assert len(std) == len(plain) + 30  # a crosstalk is none of a carefully calibrated arm's
+    # Neither a crosstalk nor a lag of forces or torques is a carefully calibrated arm's.
+    assert len(std) == len(plain) + 30 + 2
     assert np.count_nonzero(std == 0.01) == np.count_nonzero(plain == 0.01) + 1
     assert np.count_nonzero(np.isclose(std, 0.005)) >= 5
     assert np.any(np.isclose(std, 0.0015)) and not np.any(np.isclose(plain, 0.0015))
@@ -97,13 +131,13 @@ def test_what_lies_within_is_no_cause_and_what_lies_beyond_is(recording, tmp_pat
 
     limits = str(write(tmp_path, LIMITS))
     tight = verdict()
-    assert tight["verdict"] != "none" and tight["specification"] is None
+    assert tight["verdict"] != "none" and tight["specification"]["name"].startswith("a carefully")
     within = verdict("--specification", limits)
     assert within["verdict"] == "none"
     assert within["sentence"].startswith("Within specification (an arm)")
     assert within["specification"] == {"name": "an arm", "source": "made up"}
     better = {"axis_gain": 6e-4, "joint_zero_offset": LIMITS["joint_zero_offset"]}
-    beyond = verdict("--specification", str(write(tmp_path, better)))
+    beyond = verdict("--specification", str(write(tmp_path, better)), "galen")
     assert [cause["effect"] for cause in beyond["causes"]] == ["axis_gain"]
     assert main([str(recording), "--specification", str(tmp_path / "none.json")]) == 1
     assert "none.json: can't be read: No such file" in capsys.readouterr().err

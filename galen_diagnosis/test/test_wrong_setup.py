@@ -12,6 +12,7 @@ from galen_diagnosis.observation.recording import (
     DiagnosticRecording,
     require_sound_setup,
 )
+from galen_diagnosis.observation.specification import Specification
 from galen_model.arm.galen import GALEN
 from galen_model.load.model import Load, gravity_wrench
 from galen_model.rotation import rot_y
@@ -95,7 +96,9 @@ def recording(gravity):
     at_s = 0.01 * np.arange(len(angles))
     bag = BagData("sweep", 0.0, at_s, joints, at_s, wrench, None, None)
     tool = SimpleNamespace(mounting=None)
-    return DiagnosticRecording("r", tool, {"sweep": bag}, (), (), arm=GALEN)
+    return DiagnosticRecording(
+        "r", tool, {"sweep": bag}, (), (), GALEN, Specification("none", "", {})
+    )
 
 
 def test_a_recording_of_an_arm_on_a_wall_is_not_diagnosed():

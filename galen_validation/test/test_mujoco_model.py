@@ -12,6 +12,7 @@ from galen_diagnosis.effects.registry import RECORDS
 from galen_diagnosis.inference.gap import unknowns_alone
 from galen_diagnosis.observation.observation import UNKNOWNS, Observation
 from galen_diagnosis.observation.recording import DiagnosticRecording, read_recording
+from galen_diagnosis.observation.specification import Specification
 from galen_diagnosis.report.mujoco_model import MODEL, mujoco_model
 from galen_model.load.model import ToolGeometry
 from galen_model.rotation import matrix_to_rotvec
@@ -87,7 +88,9 @@ def scene_of(name):
         tracker_s=wrench_s, tool=ToolGeometry(file.load.load, file.tip_m),
         adapter=file.adapter.load, arm=session.arm,
     )  # fmt: skip
-    return DiagnosticRecording("made up", file, {}, (), (), session.arm), scene
+    return DiagnosticRecording(
+        "made up", file, {}, (), (), session.arm, Specification("none", "", {})
+    ), scene
 
 
 def effects_of(name, arm):

@@ -101,12 +101,36 @@ def _inertia_in_mujoco(effect: simulated.InertialLoad, parts: MujocoParts) -> No
     parts.own_kg_m2 = np.array(effect.own_inertia_kg_m2)
 
 
+_OWN_INERTIA_KG_M2 = 1e-3
+"""Usual size: 0.3 kg within 0.1 m."""
+
+
+def _bodies(_: Observation, effect: simulated.InertialLoad) -> Iterator[Candidate]:
+    """Yield points at the file's centres, and a body there whose own inertia is not known."""
+    points = plain_form(effect, "points")
+    yield points
+    own = np.full(6, _OWN_INERTIA_KG_M2)
+    typical = np.concatenate([points.typical, own])
+    yield replace(
+        points,
+        label="body",
+        free=np.arange(7),
+        start=np.zeros(7),
+        typical=typical,
+        probe=0.05 * typical,
+        make=lambda v: replace(effect, mass_kg=float(v[0]), own_inertia_kg_m2=floats(v[1:])),
+        wider=True,
+    )
+
+
 INERTIAL_LOAD = DiagnosedEffect(
     name=simulated.InertialLoad.name,
     title="inertial forces",
     sentence="inertial forces of {mass_kg} are missing in the model",
     remedy="compensate with inertial forces",
     needs="motion",
+    forms=_bodies,
+    most_forms=2,
     known="firm",
     advice=lambda _, recording: (
         None

@@ -245,9 +245,14 @@ def limit_words(effect: str, by_part: Mapping[str, float]) -> str:
     unit = EFFECTS[effect].fitted[0].unit
     words = {}
     for part, limit in by_part.items():
-        factor, name = _LIMIT_PARTS.get(part, _LIMIT_UNITS.get(unit, (1.0, f" {unit}")))
+        own = f" {unit.replace('N', '(N.m)') if part.startswith('t') else unit}"
+        factor, name = _LIMIT_PARTS.get(part, _LIMIT_UNITS.get(unit, (1.0, own)))
         words[part] = f"{limit * factor:.4g}{name}"
-    others = [f"{part} {text}" for part, text in words.items() if part != DEFAULT]
+    others = [
+        text if part in _LIMIT_PARTS else f"{part} {text}"
+        for part, text in words.items()
+        if part != DEFAULT
+    ]
     return ", ".join(([words[DEFAULT]] if DEFAULT in words else []) + others)
 
 

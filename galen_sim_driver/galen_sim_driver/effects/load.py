@@ -111,10 +111,7 @@ class InertialLoad(Effect):
 
     name = "inertial_load"
     has_limit = False
-    fitted = (
-        Fitted("mass_kg", "kg", 0.15, 0.0, 5.0),
-        Fitted("own_inertia_kg_m2", "kg.m^2", 1e-3, -1.0, 1.0, 6),
-    )
+    fitted = (Fitted("mass_kg", "kg", 0.15, 0.0, 5.0),)
     needs_motion = True
     beyond_contract = ("own_inertia_kg_m2",)
 

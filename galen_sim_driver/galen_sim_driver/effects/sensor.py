@@ -146,7 +146,7 @@ class SensorNonlinearity(Effect):
     """reading of `axis` += `coefficient` times its square, with its sign where `signed`."""
 
     name = "sensor_nonlinearity"
-    fitted = (Fitted("coefficient", "", 0.01, -10.0, 10.0),)
+    fitted = (Fitted("coefficient", "1/N", 0.01, -10.0, 10.0),)
     order = 2
     beyond_contract = ("signed",)
 
