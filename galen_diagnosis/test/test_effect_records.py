@@ -32,10 +32,10 @@ def test_an_effect_that_is_looked_for_shows_in_some_form():
 
 
 @pytest.mark.parametrize("name", RECORDS)
-def test_a_record_tells_what_its_effect_is_in_other_simulators(name):
+def test_a_record_has_what_its_effect_is_in_other_simulators(name):
     record = RECORDS[name]
     assert record.mujoco and record.gazebo and "|" not in record.mujoco + record.gazebo
-    # Numbers in braces, as records' other words have them, stand for nothing here.
+    # Nothing is put in here for braces, as in a record's other words.
     assert "{" not in record.mujoco + record.gazebo
 
 

@@ -91,7 +91,7 @@ LOOSE_TOOL = DiagnosedEffect(
     of_the_tool=True,
     in_table=by_simulator(simulated.LooseTool()),
     mujoco="the tool's centre moves by shift_m (d_x, d_y, 0), d the direction of gravity in the"
-    " sensor's frame: set body_ipos at each step",
+    " sensor's frame, and the load's by its mass' share of that: set body_ipos at each step",
     gazebo="no such thing: the same motion of the centre",
 )
 
@@ -293,6 +293,7 @@ CABLE_DRAG = DiagnosedEffect(
     in_table=_cable_in_table,
     mujoco="a pull from attachment_m (sensor's frame) towards anchor_m (base's) of tension_n"
     " (1 + stretch_per_m (d - d_0)), or 0 where that is less, d the distance, d_0 that at"
-    " reference_m; give it in xfrc_applied, since tendons do not reach a force sensor",
+    " reference_m; give it in xfrc_applied, since tendons do not reach a force sensor; bending_nm"
+    " comes on top",
     gazebo="no such thing: the same pull by `ApplyLinkWrench`",
 )

@@ -247,6 +247,8 @@ def _gap_of_runs(terms: JointTerms) -> list[Columns]:
 
 
 def _gap_in_mujoco(effect: Backlash, parts: MujocoParts) -> None:
+    if effect.changes_nothing:
+        return
     half = 0.5 * effect.gap_rad
     moment = effect.seat * SEAT[parts.arm.units[effect.index]]
     holds = {"stiffness": moment / half} if effect.crossing == "soft" else {"frictionloss": moment}
@@ -289,6 +291,6 @@ GEAR_ERROR = DiagnosedEffect(
     in_joint_runs=lambda terms: [
         in_lag(_GEAR * terms.column["gear"], "gain", lambda w: _GEAR * w[0])
     ],
-    mujoco="the `gear` of the joint's actuator, 1/(1 + gain)",
-    gazebo="no such thing: command (1 + gain) times the joint",
+    mujoco="the link's angle is (1 - gain) times the motor's",
+    gazebo="no such thing: the same formula",
 )

@@ -46,6 +46,7 @@ _NOTES = (
     "Set ctrl, or qpos times the actuator's gear, to a joint as it is reported.",
     "A reading (fx fy fz tx ty tz) is -(force, torque) - zero, with the numeric zero. Of MuJoCo's"
     " inertial forces, which come with qvel and qacc, it holds the share inertial_share.",
+    "What MuJoCo lacks is done to that, in the order of these comments.",
     f"Links have {_LINK_KG} kg each, which the sensor does not feel; drives carry all weight"
     " (gravcomp), since the nominal arm is not bent by it.",
 )
@@ -97,6 +98,11 @@ def _written(recording: DiagnosticRecording, parts: MujocoParts, notes: Sequence
     custom = _add(root, "custom")
     _add(custom, "numeric", name="zero", data=_zero(recording, parts))
     _add(custom, "numeric", name="inertial_share", data=share)
+    places: list[float] = []
+    for joint in parts.arm.joints:
+        places.append((1.0 + parts.gain.get(joint.name, 0.0)) * joint.home)
+        places += [0.0] * (joint.name in parts.gap)
+    _add(_add(root, "keyframe"), "key", name="home", qpos=places, ctrl=parts.arm.home)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"
 
@@ -128,7 +134,7 @@ def _link(
     if joint.name in parts.friction:
         more |= _held(parts.friction[joint.name])
     _add(
-        body, "joint", name=joint.name, **kind, ref=-parts.zero.get(joint.name, 0.0),
+        body, "joint", name=joint.name, **kind, ref=0.0 - parts.zero.get(joint.name, 0.0),
         armature=max(_ROTOR_KG_M2, _STEP_S**2 * stiffness), **more,
     )  # fmt: skip
     gap = parts.gap.get(joint.name)
@@ -153,7 +159,7 @@ def _held(friction: float) -> dict[str, Any]:
 def _load(parent: ElementTree.Element, adapter: Load, parts: MujocoParts, share: float) -> None:
     """Add adapter and tool as one body on the sensor."""
     body = _add(
-        parent, "body", name="load", pos=parts.arm.sensor_origin_m,
+        parent, "body", name="sensed_load", pos=parts.arm.sensor_origin_m,
         quat=_quaternion(parts.arm.sensor_rotation), gravcomp=1.0,
     )  # fmt: skip
     loads = [load for load in (adapter, parts.tool) if load.mass_kg > 0.0]
