@@ -12,14 +12,14 @@ same. (Of two effects that change rows alike each gets half of what they do toge
 and of Pratt's measure; J. W. Pratt, Proc. 2nd Int. Tampere Conf. Statistics, 1987.)
 
 An effect is resolved where its numbers are not zero by chance, chi-square of their covariance.
-Several of which only one combination is resolved are one entry, with the others as equivalent.
+Of several of which only a combination is resolved the one that explains most alone is the entry,
+with others that explain nearly as much as equivalent.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -33,6 +33,7 @@ from galen_diagnosis.effects.candidates import Candidate
 from galen_diagnosis.effects.forms import Tolerances
 from galen_diagnosis.effects.registry import record_of
 from galen_diagnosis.inference.gap import drawn, parameters_of, sandwich, unknowns_alone
+from galen_diagnosis.inference.posterior import APART
 from galen_diagnosis.inference.refine import Hypothesis
 from galen_diagnosis.observation.observation import UNKNOWNS, Observation
 from galen_diagnosis.observation.rows import FOLDS
@@ -40,8 +41,6 @@ from galen_diagnosis.observation.specification import Specification
 
 _RESOLVED = 1e-3
 """Chance below which numbers are not zero."""
-_ALIKE = 0.9
-"""Correlation from which on two effects' numbers are one."""
 _DRAWS, _SEED = 400, 1987
 _WIDE = 100.0
 """Of a cause's usual size: next to no prior."""
@@ -96,9 +95,11 @@ def budget(
         return ()
     together = _together(observation, behind, tolerances, best, off)
     columns, precision, parts = together.columns, together.precision, together.parts
-    kept, names = _separable(together.gram, together.along, precision, parts)
-    mean, covariance = together.posterior(observation, best, kept)
-    shown = [part for part in parts if len(part.places) and _is_there(part, mean, covariance)]
+    kept, names = _separable(together, observation, best)
+    mean, _ = together.posterior(observation, best, kept)
+    # Conditional values, but how far they may be off beside all that may be there.
+    _, covariance = together.posterior(observation, best, np.arange(len(mean)))
+    shown = [part for part in parts if len(part.places) and np.isin(part.places, kept).all()]
     shares = _shares(observation, together.beside, columns, precision, kept, best, shown, floor)
     if shares is None:
         return ()
@@ -218,38 +219,40 @@ def _changes(observation: Observation, best: Hypothesis) -> list[Array]:
 
 
 def _separable(
-    gram: Array, along: Array, precision: Array, parts: Sequence[_Part]
+    together: _Together, observation: Observation, best: Hypothesis
 ) -> tuple[np.ndarray, dict[int, tuple[str, ...]]]:
-    """Return which numbers are fitted (k,), and what can't be separated from a part, by its number.
+    """Return which numbers are fitted (k,), and what may stand in a part's place, by its number.
 
-    Of two of a healthy arm's deviations that only together are not zero the clearer one is fitted.
+    Parts that are resolved beside all others are fitted and, one after the other, those that alone
+    explain most of what these leave.
     """
-    spread = np.linalg.inv(gram + precision)
-    mean = spread @ along
-    std = np.sqrt(np.diag(spread))
-    apart = spread / np.outer(std, std)
-    dropped: set[int] = set()
+    parts = together.parts
+    everything = np.arange(len(together.gram))
+    mean, spread = together.posterior(observation, best, everything)
+    chosen = [k for k, part in enumerate(parts) if _is_there(part, mean, spread)]
+    left = [k for k in range(len(parts)) if k not in chosen]
     names: dict[int, tuple[str, ...]] = {}
-    open_ = [
-        k for k, part in enumerate(parts)
-        if not np.any(part.change) and not _is_there(part, mean, spread)
-    ]  # fmt: skip
-    for a, b in combinations(open_, 2):
-        here, there = parts[a].places, parts[b].places
-        if {a, b} & dropped or np.max(np.abs(apart[np.ix_(here, there)])) < _ALIKE:
-            continue
-        alone = []
-        for one, other in ((a, b), (b, a)):
-            kept = np.setdiff1d(np.arange(len(gram)), parts[other].places)
-            inner = np.linalg.inv(gram[np.ix_(kept, kept)] + precision[np.ix_(kept, kept)])
-            own = np.searchsorted(kept, parts[one].places)
-            value, block = (inner @ along[kept])[own], inner[np.ix_(own, own)]
-            alone.append(float(value @ np.linalg.solve(block, value)) / len(own))
-        clearer, other = (a, b) if alone[0] >= alone[1] else (b, a)
-        dropped.add(other)
-        names[clearer] = (*names.get(clearer, ()), parts[other].candidate.effect)
-    gone = [place for k in dropped for place in parts[k].places]
-    return np.setdiff1d(np.arange(len(gram)), gone), names
+    while left:
+        gains, chances = [], []
+        for k in left:
+            kept = np.sort(np.concatenate([parts[n].places for n in (*chosen, k)]))
+            inside = np.ix_(kept, kept)
+            laplace = np.linalg.inv(together.gram[inside] + together.precision[inside])
+            own = np.searchsorted(kept, parts[k].places)
+            value, block = (laplace @ together.along[kept])[own], laplace[np.ix_(own, own)]
+            gains.append(float(value @ np.linalg.solve(block, value)))
+            chances.append(float(chi2_sf(gains[-1], len(own))))
+        first = int(np.argmin(chances))
+        if chances[first] > _RESOLVED:
+            break
+        near = [k for k, gain in zip(left, gains, strict=True) if gain > gains[first] - APART**2]
+        chosen.append(left[first])
+        label = parts[left[first]].candidate.effect
+        others = dict.fromkeys(parts[k].candidate.effect for k in near)
+        names[left[first]] = tuple(name for name in others if name != label)
+        left = [k for k in left if k != left[first] and k not in near]
+    empty = np.zeros(0, dtype=int)
+    return np.sort(np.concatenate([empty, *(parts[k].places for k in chosen)])), names
 
 
 def _is_there(part: _Part, mean: Array, covariance: Any) -> bool:

@@ -110,7 +110,7 @@ def _limited(one: BudgetItem) -> Iterator[tuple[Interval, float]]:
     """Yield an effect's limited numbers, each with its limit."""
     for name, limit in one.limits.items():
         value = one.parameters[name]
-        numbers = value if isinstance(value, list | tuple) else [value]
+        numbers = [value] if isinstance(value, Interval) else value
         limits = limit if isinstance(limit, list) else [limit] * len(numbers)
         yield from zip(numbers, limits, strict=True)
 

@@ -1,0 +1,123 @@
+"""What the whole gap is made of, and what has changed since an earlier recording."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from galen_diagnosis.answer.answer import RESIDUAL, BudgetItem, Interval
+from galen_diagnosis.diagnose import main
+from galen_diagnosis.effects.forms import Forms
+from galen_diagnosis.inference.budget import budget
+from galen_diagnosis.inference.refine import nothing
+from galen_diagnosis.observation.observation import Observation
+from galen_diagnosis.observation.recording import read_recording
+from galen_diagnosis.simulated_recording import make_recording
+from galen_model.arm.galen import GALEN
+from galen_sim_driver.effects.joints import JointZeroOffset
+from galen_sim_driver.effects.load import ToolMassError
+from galen_sim_driver.effects.sensor import AxisGain
+from scipy.sparse import csc_array
+
+GAINS = (0.008, -0.006, 0.012, 0.0, 0.0, 0.0)
+ARM = AxisGain(GAINS), JointZeroOffset("tilt", 0.0025)
+LIMITS = {"axis_gain": 0.02, "joint_zero_offset": 0.005, "crosstalk": 0.004}
+
+
+def made(folder, name, *effects, seed=4):
+    path = folder / name
+    make_recording(path, effects, seed, "retractor", bags=("sweep",), arm=GALEN)
+    content = {"schema_version": 1, "name": "an arm", "source": "made up", "limits": LIMITS}
+    (path / "specification.json").write_text(json.dumps(content))
+    return path
+
+
+@pytest.fixture(scope="module")
+def ordinary(tmp_path_factory):
+    """A sweep of an arm whose gains and tilt zero are off, within their limits."""
+    return made(tmp_path_factory.mktemp("budget"), "ordinary", *ARM)
+
+
+@pytest.fixture(scope="module")
+def forms(ordinary):
+    limits = [ordinary / "specification.json", "galen"]
+    return Forms(Observation(read_recording(ordinary, specification=limits)))
+
+
+def budget_of(forms, observation):
+    fit = nothing(observation, forms.behind)
+    none = csc_array((len(observation.rows), 0))
+    return budget(observation, forms.behind, forms.tolerances, fit, none, 1.0)
+
+
+def test_the_whole_gap_is_a_sum_of_shares_and_parts_are_what_was_put_in(forms):
+    items = budget_of(forms, forms._observation)
+    shares = [one.share.value for one in items]
+    assert sum(shares) == pytest.approx(1.0, abs=1e-9)
+    assert shares == sorted(shares, reverse=True)
+    found = {one.label: one for one in items}
+    zero, gains = found["joint_zero_offset:tilt"], found["axis_gain"]
+    assert found[RESIDUAL].share.value < 0.05
+    offset = zero.parameters["offset_rad"]
+    # The made arm has a healthy one's own deviation of 0.1 mrad.
+    assert offset.value == pytest.approx(0.0025, abs=0.0004)
+    assert offset.low < offset.value < offset.high
+    assert (zero.standing, zero.limits) == ("within", {"offset_rad": 0.005})
+    for got, put in zip(gains.parameters["gain"][:3], GAINS[:3], strict=True):
+        assert got.low - 6e-4 < put < got.high + 6e-4
+    assert gains.standing == "within" and gains.limits["gain"] == [0.02] * 6
+
+
+def test_no_gap_has_no_budget(forms, tmp_path):
+    make_recording(tmp_path / "healthy", seed=4, bags=("sweep",), arm=GALEN)
+    observation = Observation(read_recording(tmp_path / "healthy"))
+    observation.nominal = np.random.default_rng(1).standard_normal(len(observation.rows))
+    assert budget_of(Forms(observation), observation) == ()
+
+
+def test_an_item_is_within_beyond_or_undecided():
+    share = Interval(0.5, 0.4, 0.6)
+    limited = BudgetItem("axis_gain", share, limits={"gain": 1.0}, probability_beyond=0.03)
+    assert limited.standing == "within"
+    assert replace(limited, probability_beyond=0.95).standing == "beyond"
+    assert replace(limited, probability_beyond=0.5).standing == "undecided"
+    assert replace(limited, probability_beyond=None).standing == "undecided"
+    assert BudgetItem("bias_step", share).standing is None
+    assert BudgetItem(RESIDUAL, share).to_json() == {
+        "effect": RESIDUAL, "share": {"value": 0.5, "ci95": [0.4, 0.6]},
+    }  # fmt: skip
+
+
+def test_each_number_of_an_item_has_its_limit():
+    numbers = {"gain": [Interval(0.1, 0.0, 0.2), Interval(0.3, 0.2, 0.4)]}
+    item = BudgetItem("axis_gain", Interval(1.0, None, None), numbers, {"gain": [0.5, 0.6]}, 0.0)
+    content = item.to_json()
+    assert [one["limit"] for one in content["parameters"]["gain"]] == [0.5, 0.6]
+    assert content["specification"] == "within" and content["joint"] is None
+
+
+def answer_of(tmp_path, capsys, *arguments):
+    out = tmp_path / "out"
+    command = ["--json", "--no-report", "--overwrite", "--output", str(out)]
+    assert main([*map(str, arguments), *command]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+@pytest.mark.slow
+def test_since_a_reference_only_what_has_changed_is_a_cause(ordinary, tmp_path, capsys):
+    later = made(tmp_path, "later", *ARM, ToolMassError(0.001), seed=5)
+    same = made(tmp_path, "same", *ARM, seed=6)
+    changed = answer_of(tmp_path, capsys, later, "--reference", ordinary)
+    assert changed["reference"] == ["ordinary"]
+    assert [cause["effect"] for cause in changed["causes"]] == ["tool_mass_error"]
+    low, high = changed["causes"][0]["parameters"]["delta_kg"]["ci95"]
+    # A made arm's file is off by its own deviation, another one in each.
+    assert low < 0.001 < high
+    unchanged = answer_of(tmp_path, capsys, same, "--reference", ordinary)
+    assert unchanged["verdict"] == "none"
+    assert unchanged["sentence"].startswith("Unchanged since ordinary")
+    alone = answer_of(tmp_path, capsys, later)
+    assert alone["verdict"] == "none" and alone["reference"] is None
+    assert sum(one["share"]["value"] for one in alone["budget"]) == pytest.approx(1.0)
+    standings = {one["specification"] for one in alone["budget"] if "specification" in one}
+    assert "within" in standings and "beyond" not in standings
