@@ -35,6 +35,7 @@ def test_an_effect_that_is_looked_for_shows_in_some_form():
 def test_a_record_has_what_its_effect_is_in_other_simulators(name):
     record = RECORDS[name]
     assert record.mujoco and record.gazebo and "|" not in record.mujoco + record.gazebo
+    assert not record.mujoco.startswith("no such thing")  # the model's comment begins with that
     # Nothing is put in here for braces, as in a record's other words.
     assert "{" not in record.mujoco + record.gazebo
 

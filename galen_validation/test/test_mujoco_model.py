@@ -12,11 +12,11 @@ from galen_diagnosis.effects.registry import RECORDS
 from galen_diagnosis.inference.gap import unknowns_alone
 from galen_diagnosis.observation.observation import UNKNOWNS, Observation
 from galen_diagnosis.observation.recording import DiagnosticRecording, read_recording
-from galen_diagnosis.observation.specification import Specification
+from galen_diagnosis.observation.specification import CALIBRATED, specification_of
 from galen_diagnosis.report.mujoco_model import MODEL, mujoco_model
 from galen_model.load.model import ToolGeometry
 from galen_model.rotation import matrix_to_rotvec
-from galen_sim_driver.effects.registry import effect_from
+from galen_sim_driver.effects.registry import LIMITED, effect_from
 from galen_sim_driver.replay import Replay, Scene, rates
 
 from galen_validation.blind.causes import listed
@@ -88,9 +88,8 @@ def scene_of(name):
         tracker_s=wrench_s, tool=ToolGeometry(file.load.load, file.tip_m),
         adapter=file.adapter.load, arm=session.arm,
     )  # fmt: skip
-    return DiagnosticRecording(
-        "made up", file, {}, (), (), session.arm, Specification("none", "", {})
-    ), scene
+    limits = specification_of([CALIBRATED], dict.fromkeys(LIMITED))
+    return DiagnosticRecording("made up", file, {}, (), (), session.arm, limits), scene
 
 
 def effects_of(name, arm):
@@ -206,7 +205,7 @@ def gap_in_mujoco(folder, output):
     As in the report unknowns are fitted to both, and a healthy arm's tolerances to the latter: the
     part is the largest of these over its standard deviation.
     """
-    recording = read_recording(folder)
+    recording = read_recording(folder, specification=[CALIBRATED])
     observation = Observation(recording)
     texts = mujoco_model(recording, recording.nominal_effects), (output / MODEL).read_text()
     before, after = (rows_in_mujoco(observation, text) for text in texts)
@@ -242,7 +241,8 @@ def test_the_gap_of_the_blind_check_s_arm_is_in_mujoco_what_the_report_has(
     ]
     made.mkdir()
     write_recording(made, Measurement(session, tolerance, hidden))
-    assert diagnose([str(made), "--no-report", "--output", str(tmp_path / "out")]) == 0
+    options = ["--no-report", "--output", str(tmp_path / "out"), "--specification", CALIBRATED]
+    assert diagnose([str(made), *options]) == 0
     answer = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
     assert answer["verdict"] == "identified"
     gap = answer["gap"]

@@ -235,8 +235,8 @@ SENSOR_HYSTERESIS = DiagnosedEffect(
     most_forms=2,
     known="rough",
     remembers=True,
-    mujoco="no such thing: the reading follows the load by a play of the largest load's fraction",
-    gazebo="no such thing: the same play",
+    mujoco="the reading lags the load, and keeps fraction of the largest when it is gone",
+    gazebo="no such thing: the same lag",
 )
 
 

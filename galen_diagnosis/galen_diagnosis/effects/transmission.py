@@ -219,8 +219,8 @@ DEFLECTION_CREEP = DiagnosedEffect(
     forms=_creeps,
     known="loose",
     remembers=True,
-    mujoco="no such thing: a spring and a damper in series with the joint's spring",
-    gazebo="no such thing: the same",
+    mujoco="to the tip's elastic displacement e comes c with tau_s dc/dt = fraction e - c",
+    gazebo="no such thing: the same formula",
 )
 
 
