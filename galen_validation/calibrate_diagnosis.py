@@ -27,6 +27,7 @@ from galen_diagnosis.answer.answer import NONE
 from galen_diagnosis.inference.diagnosing import explore
 from galen_diagnosis.inference.posterior import Probabilities, Scored, Settings, posterior
 from galen_diagnosis.observation.recording import read_recording
+from galen_diagnosis.observation.specification import CALIBRATED
 from galen_model.errors import GalenError
 from galen_model.files.atomic_file import write_whole
 from scipy.optimize import minimize
@@ -117,7 +118,7 @@ def collect(case: Case) -> dict[str, Any]:
     """Make a case's recording, explore it, and tell what a posterior needs."""
     with tempfile.TemporaryDirectory() as folder:
         truth = generate(case, Path(folder) / "recording")
-        explored = explore(read_recording(Path(folder) / "recording"))
+        explored = explore(read_recording(Path(folder) / "recording", specification=[CALIBRATED]))
     return {
         "kind": case.kind,
         "strength": case.strength,

@@ -39,6 +39,8 @@ WALL = replace(ARM, gravity_m_s2=np.array([9.80665, 0.0, 0.0]))
 POSES = sweep_poses(ARM)
 FEW = POSES[:24]
 
+TIGHT = "--specification", "galen"
+
 
 def zero_of(joint, offset_rad=0.01):
     return effect_from("joint_zero_offset", {"joint": joint, "offset_rad": offset_rad}, ARM)
@@ -114,7 +116,9 @@ def test_effects_are_sought_at_every_joint(healthy):
 def test_the_zero_of_a_wrist_joint_is_found_from_still_poses_alone(tmp_path, capsys):
     folder = made(tmp_path / "made", zero_of("wrist_2"))
     assert (
-        diagnose([str(folder), "--output", str(tmp_path / "out"), "--next", str(tmp_path / "n")])
+        diagnose(
+            [str(folder), *TIGHT, "--output", str(tmp_path / "out"), "--next", str(tmp_path / "n")]
+        )
         == 0
     )
     found = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
@@ -132,7 +136,7 @@ def test_the_zero_of_a_wrist_joint_is_found_from_still_poses_alone(tmp_path, cap
     assert [line.partition(":")[0] for line in found["corrections"]] == ["corrected.urdf"]
     shutil.copy(tmp_path / "out" / "corrected.urdf", folder / "arm.urdf")
     shutil.copy(tmp_path / "out" / "corrected_pointer.json", folder / "tool.json")
-    assert diagnose([str(folder), "--output", str(tmp_path / "again"), "--no-report"]) == 0
+    assert diagnose([str(folder), *TIGHT, "--output", str(tmp_path / "again"), "--no-report"]) == 0
     again = json.loads((tmp_path / "again" / "diagnosis.json").read_text())
     assert again["verdict"] == "none"
     floor = again["gap"]["floor"]["mean_square"]
@@ -174,7 +178,7 @@ def found_as(effects):
 @pytest.mark.slow
 def test_the_base_of_an_arm_on_a_wall_is_found_about_y_and_z(tmp_path):
     inclined = base_inclination(WALL.gravity_m_s2)(about_y_rad=0.02, about_z_rad=-0.01)
-    recording = read_recording(made(tmp_path / "made", inclined, arm=WALL))
+    recording = read_recording(made(tmp_path / "made", inclined, arm=WALL), specification=["galen"])
     found = diagnose_recording(recording)
     (cause,) = found.answer.causes
     assert cause.effect == "base_inclination" and set(cause.parameters) == {
@@ -228,7 +232,8 @@ def test_what_no_file_holds_is_told(healthy):
 @pytest.mark.slow
 def test_zeros_of_parallel_joints_are_one_ambiguous_set_that_a_tracker_separates(tmp_path):
     """Gravity feels the sum of the angles about parallel axes, not which of them it is."""
-    answer = diagnose_recording(read_recording(made(tmp_path / "made", zero_of("elbow")))).answer
+    recording = read_recording(made(tmp_path / "made", zero_of("elbow")), specification=["galen"])
+    answer = diagnose_recording(recording).answer
     assert answer.verdict == "ambiguous"
     parallel = {f"joint_zero_offset:{joint}" for joint in ("shoulder_lift", "elbow", "wrist_1")}
     (cause,) = answer.causes

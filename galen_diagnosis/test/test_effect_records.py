@@ -49,16 +49,16 @@ def test_no_other_room_names_an_effect(room):
 
 @dataclass(frozen=True)
 class Stretched(Effect):
-    """fz reads `per_n` times its square too much."""
+    """fz reads `per_n` times the square of fx too much."""
 
     name = "stretched"
     fitted = (Fitted("per_n", "1/N", 0.01, -0.2, 0.2),)
 
-    per_n: float = param(0.0, "how much fz reads too much, over its square, 1/N")
+    per_n: float = param(0.0, "how much fz reads too much, over the square of fx, 1/N")
 
     def read(self, when, wrench):
         read = wrench.copy()
-        read[:, 2] += self.per_n * wrench[:, 2] ** 2
+        read[:, 2] += self.per_n * wrench[:, 0] ** 2
         return read
 
 
