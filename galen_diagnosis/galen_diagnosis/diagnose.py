@@ -43,7 +43,6 @@ from galen_common.command import (
     add_wrench_frame,
     check_file,
     make_parser,
-    positive,
     print_json,
     run_command,
     terminal,
@@ -358,13 +357,6 @@ def _add_table_options(parser: argparse.ArgumentParser) -> None:
         help="readings of the sensor, still and untouched (fx .. tz): the floor of a table without"
         " time",
     )
-    parser.add_argument(
-        "--average-s",
-        type=positive,
-        default=1.0,
-        metavar="S",
-        help="rows are means over this in rest segments (default: %(default)g)",
-    )
     add_arm(parser)
 
 
@@ -560,7 +552,6 @@ def _prepared(
         table,
         noise=None if arguments.noise is None else _noise(arguments.noise),
         tool=None if arguments.tool is None else read_calibration(arguments.tool, arm),
-        window_s=arguments.average_s,
         references=references,
     )
 

@@ -48,7 +48,7 @@ _LEAST_NOISES = 3.0
 """Standard deviations of chance that the whole gap is at least."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Part:
     """An effect in one form: at values (p,) it changes the rows by `change` (N,).
 
@@ -94,20 +94,27 @@ def budget(
     if whole @ whole - floor * len(whole) <= spread:
         return ()
     together = _together(observation, behind, tolerances, best, off)
-    columns, precision, parts = together.columns, together.precision, together.parts
-    kept, names = _separable(together, observation, best)
-    mean, _ = together.posterior(observation, best, kept)
-    # Conditional values, but how far they may be off beside all that may be there.
-    _, covariance = together.posterior(observation, best, np.arange(len(mean)))
-    shown = [part for part in parts if len(part.places) and np.isin(part.places, kept).all()]
-    shares = _shares(observation, together.beside, columns, precision, kept, best, shown, floor)
-    if shares is None:
-        return ()
+    mean, covariance = together.posterior(observation, best, np.arange(len(together.gram)))
+    chosen = _resolved(together, mean, covariance)
+    parts = [together.parts[k] for k in chosen]
+    while True:
+        shares = _shares(observation, together, best, parts, floor)
+        if shares is None:
+            return ()
+        kept = [
+            k for k, share in enumerate(shares[:-1])
+            if share.value > 0.0 or np.any(parts[k].change)
+        ]  # fmt: skip
+        if len(kept) == len(parts):
+            break
+        # What only makes up for what another does too much is no part of the gap.
+        parts = [parts[k] for k in kept]
     generator = np.random.default_rng(_SEED)
-    items = [
-        _item(observation, part, mean, covariance, share, names.get(k, ()), generator)
-        for part, share, k in zip(shown, shares, map(parts.index, shown), strict=False)
-    ]
+    items = []
+    for part, share in zip(parts, shares, strict=False):
+        alone, equivalent = chosen[together.parts.index(part)]
+        values = mean if alone is None else alone
+        items.append(_item(observation, part, values, covariance, share, equivalent, generator))
     items.append(BudgetItem(RESIDUAL, shares[-1]))
     return tuple(sorted(items, key=lambda one: -one.share.value))
 
@@ -218,41 +225,42 @@ def _changes(observation: Observation, best: Hypothesis) -> list[Array]:
     return out
 
 
-def _separable(
-    together: _Together, observation: Observation, best: Hypothesis
-) -> tuple[np.ndarray, dict[int, tuple[str, ...]]]:
-    """Return which numbers are fitted (k,), and what may stand in a part's place, by its number.
+def _resolved(
+    together: _Together, mean: Array, covariance: Array
+) -> dict[int, tuple[Array | None, tuple[str, ...]]]:
+    """Return the parts that the gap is made of, by number.
 
-    Parts that are resolved beside all others are fitted and, one after the other, those that alone
-    explain most of what these leave.
+    They are those that are resolved beside all others and, one after the other, those that alone
+    explain most of what these leave: of them all numbers without the others, and what explains
+    nearly as much.
     """
     parts = together.parts
-    everything = np.arange(len(together.gram))
-    mean, spread = together.posterior(observation, best, everything)
-    chosen = [k for k, part in enumerate(parts) if _is_there(part, mean, spread)]
+    chosen: dict[int, tuple[Array | None, tuple[str, ...]]] = {
+        k: (None, ()) for k, part in enumerate(parts) if _is_there(part, mean, covariance)
+    }
     left = [k for k in range(len(parts)) if k not in chosen]
-    names: dict[int, tuple[str, ...]] = {}
     while left:
-        gains, chances = [], []
+        gains, chances, numbers = [], [], []
         for k in left:
             kept = np.sort(np.concatenate([parts[n].places for n in (*chosen, k)]))
             inside = np.ix_(kept, kept)
             laplace = np.linalg.inv(together.gram[inside] + together.precision[inside])
+            alone = np.zeros(len(mean))
+            alone[kept] = laplace @ together.along[kept]
             own = np.searchsorted(kept, parts[k].places)
-            value, block = (laplace @ together.along[kept])[own], laplace[np.ix_(own, own)]
-            gains.append(float(value @ np.linalg.solve(block, value)))
+            value = alone[parts[k].places]
+            gains.append(float(value @ np.linalg.solve(laplace[np.ix_(own, own)], value)))
             chances.append(float(chi2_sf(gains[-1], len(own))))
+            numbers.append(alone)
         first = int(np.argmin(chances))
         if chances[first] > _RESOLVED:
             break
         near = [k for k, gain in zip(left, gains, strict=True) if gain > gains[first] - APART**2]
-        chosen.append(left[first])
         label = parts[left[first]].candidate.effect
         others = dict.fromkeys(parts[k].candidate.effect for k in near)
-        names[left[first]] = tuple(name for name in others if name != label)
+        chosen[left[first]] = numbers[first], tuple(name for name in others if name != label)
         left = [k for k in left if k != left[first] and k not in near]
-    empty = np.zeros(0, dtype=int)
-    return np.sort(np.concatenate([empty, *(parts[k].places for k in chosen)])), names
+    return chosen
 
 
 def _is_there(part: _Part, mean: Array, covariance: Any) -> bool:
@@ -268,15 +276,14 @@ def _is_there(part: _Part, mean: Array, covariance: Any) -> bool:
 
 def _shares(
     observation: Observation,
-    beside: Background,
-    columns: Array,
-    precision: Array,
-    kept: np.ndarray,
+    together: _Together,
     best: Hypothesis,
     parts: Sequence[_Part],
     floor: float,
 ) -> list[Interval] | None:
     """Return each part's share of the gap and the residual's, on rows that the fit hasn't seen."""
+    beside, columns, precision = together.beside, together.columns, together.precision
+    kept = np.sort(np.concatenate([np.zeros(0, dtype=int), *(part.places for part in parts)]))
     rows = observation.rows
     unknown = beside.columns[:, :UNKNOWNS]
     every = np.concatenate([beside.columns, columns[:, kept]], axis=1)
@@ -385,7 +392,7 @@ def limits_of(
 def beyond_chance(
     observation: Observation, one: Candidate, numbers: Array, limits: Mapping[str, Any]
 ) -> float | None:
-    """Return how many of draws (n, p) of an effect's numbers are beyond a limit; None without."""
+    """Return how many of draws (n, p) of a number are beyond its limit, the most; None without."""
     record = record_of(one.effect)
     parts = one.base.limit_parts
     std = None
@@ -403,4 +410,4 @@ def beyond_chance(
         sizes = np.concatenate(each, axis=1)
     else:
         return None
-    return float(np.mean(np.any(sizes > 1.0, axis=1)))
+    return float(np.max(np.mean(sizes > 1.0, axis=0)))
