@@ -64,7 +64,8 @@ def search(observation: Observation, progress: Progress | None = None) -> Found:
     say("the likeliest, on the simulator", 0.55)
     singles: list[Hypothesis] = []
     for log, candidate, start in _shortlist(judged, _SINGLES, _WORTH):
-        top = max((single.log_bayes for single in singles), default=0.0)
+        others = [one.log_bayes for one in singles if one.names != (candidate.effect,)]
+        top = max(others, default=0.0)
         if not record_of(candidate.effect).general or log > _BEHIND * top:
             fit = refine(observation, forms.behind, [candidate], [start], None, none.cost)
             singles.append(fit)
