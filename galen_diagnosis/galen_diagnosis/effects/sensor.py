@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
-from itertools import permutations, product
+from itertools import permutations
 from typing import Any
 
 import numpy as np
@@ -170,7 +170,6 @@ SENSOR_NONLINEARITY = DiagnosedEffect(
     healthy=True,
     forms=no_forms,
     columns=nonlinear_candidates,
-    most_forms=2,
     known="firm",
 )
 
@@ -184,8 +183,9 @@ def lagging_candidates(observation: Observation, zero: Array) -> list[Candidate]
     Over a pause of a bag what the loads have left is gone, or stays.
     """
     found = []
-    bonus = -np.log(2 * len(_KNEES) * len(_TOGETHER))
-    for restarts, knee in product((True, False), _KNEES):
+    ways = [*((True, knee) for knee in _KNEES), (False, _KNEES[1])]
+    bonus = -np.log(len(ways) * len(_TOGETHER))
+    for restarts, knee in ways:
         unit = simulated.SensorHysteresis(1.0, knee=knee, restarts=restarts)
         lag = _at_rows(observation, unit.lag)
         for axes in _TOGETHER:
@@ -210,7 +210,6 @@ SENSOR_HYSTERESIS = DiagnosedEffect(
     healthy=True,
     forms=no_forms,
     columns=lagging_candidates,
-    most_forms=2,
     known="rough",
     remembers=True,
 )
