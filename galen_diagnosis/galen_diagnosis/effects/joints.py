@@ -99,18 +99,18 @@ JOINT_GAIN = DiagnosedEffect(
 )
 
 
-_CYCLES = (1.0, 2.0, 3.0, 4.0)
-"""Of a gear or disc on the joint's own shaft 1 or 2, as of a healthy arm's."""
+_CYCLES = (1.0, 2.0)
+"""Of a gear or disc on the joint's own shaft; others a fit finds from there."""
 
 
 def _eccentricities(_: Observation, effect: simulated.JointEccentricity) -> Iterator[Candidate]:
-    """Yield whole numbers of cycles, which a fit may leave."""
+    """Yield one cycle and two, which a fit may leave."""
+    bonus = -np.log(len(_CYCLES))
     for cycles in _CYCLES:
         base, label = replace(effect, cycles=cycles), f"{cycles:g} cycles"
-        fitted = replace(plain_form(base, label), bonus=-np.log(len(_CYCLES)))
-        fitted = replace(fitted, probe=np.array([1e-3, 1e-3, 0.01]))
-        one = plain_form(base, label, np.arange(2))
-        yield freed(replace(one, bonus=fitted.bonus, wider=cycles > 2.0), fitted)
+        typical, probe = np.array([5e-3, 5e-3, 0.1]), np.array([1e-3, 1e-3, 0.01])
+        fitted = replace(plain_form(base, label), typical=typical, probe=probe, bonus=bonus)
+        yield freed(replace(plain_form(base, label, np.arange(2)), bonus=bonus), fitted)
 
 
 JOINT_ECCENTRICITY = DiagnosedEffect(
@@ -122,7 +122,6 @@ JOINT_ECCENTRICITY = DiagnosedEffect(
     " the error",
     healthy=True,
     forms=_eccentricities,
-    most_forms=2,
     known="firm",
     mujoco="qpos is reported + amplitude_rad sin(cycles reported + phase_rad)",
     gazebo="no such thing: the same formula",

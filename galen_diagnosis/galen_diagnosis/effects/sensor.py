@@ -186,7 +186,6 @@ SENSOR_NONLINEARITY = DiagnosedEffect(
     healthy=True,
     forms=no_forms,
     columns=nonlinear_candidates,
-    most_forms=2,
     known="firm",
     in_table=lambda plant: [
         plant.columns(simulated.SensorNonlinearity(axis=axis, signed=signed), {"axis": axis})
@@ -206,8 +205,9 @@ def lagging_candidates(observation: Observation, zero: Array) -> list[Candidate]
     Over a pause of a bag what the loads have left is gone, or stays.
     """
     found = []
-    bonus = -np.log(2 * len(_KNEES) * len(_TOGETHER))
-    for restarts, knee in product((True, False), _KNEES):
+    ways = [*((True, knee) for knee in _KNEES), (False, _KNEES[1])]
+    bonus = -np.log(len(ways) * len(_TOGETHER))
+    for restarts, knee in ways:
         unit = simulated.SensorHysteresis(1.0, knee=knee, restarts=restarts)
         lag = _at_rows(observation, unit.lag)
         for axes in _TOGETHER:
@@ -232,7 +232,6 @@ SENSOR_HYSTERESIS = DiagnosedEffect(
     healthy=True,
     forms=no_forms,
     columns=lagging_candidates,
-    most_forms=2,
     known="rough",
     remembers=True,
     mujoco="the reading lags the load, and keeps fraction of the largest when it is gone",

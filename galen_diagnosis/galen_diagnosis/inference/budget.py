@@ -42,8 +42,8 @@ from galen_diagnosis.observation.specification import Specification
 _RESOLVED = 1e-3
 """Chance below which numbers are not zero."""
 _DRAWS, _SEED = 400, 1987
-_WIDE = 100.0
-"""Of a cause's usual size: next to no prior."""
+_FAR = 10.0
+"""Standard deviations of a cause's fit, which is next to no prior and keeps near it."""
 _LEAST_NOISES = 3.0
 """Standard deviations of chance that the whole gap is at least."""
 
@@ -183,15 +183,12 @@ def _joined(
     observation: Observation, tolerances: Tolerances, best: Hypothesis
 ) -> tuple[Array, Array, list[_Part]]:
     """Columns (N, n) of a healthy arm's deviations and of causes, precision (n, n), parts."""
-    prior = np.concatenate(
-        [1.0 / (_WIDE * part.typical[: len(values)]) ** 2
-         for part, values in zip(best.parts, best.values, strict=True)] or [np.zeros(0)]
-    )  # fmt: skip
     columns = np.concatenate([tolerances.columns, best.columns], axis=1)
     first = tolerances.size
-    precision = np.zeros((first + len(prior),) * 2)
+    precision = np.zeros((columns.shape[1],) * 2)
     precision[:first, :first] = tolerances.precision
-    precision[first:, first:] = np.diag(prior)
+    # Where a cause's columns hold.
+    precision[first:, first:] = np.linalg.pinv(best.covariance, hermitian=True) / _FAR**2
     parts, taken = [], set()
     for part, values, where, change in zip(
         best.parts, best.values, best.slices(), _changes(observation, best), strict=True

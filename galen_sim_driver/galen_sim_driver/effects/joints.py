@@ -154,7 +154,7 @@ class JointEccentricity(AtJoint):
     fitted = (
         Fitted("sine_rad", "rad", 0.005, -0.5, 0.5),
         Fitted("cosine_rad", "rad", 0.005, -0.5, 0.5),
-        Fitted("cycles", "", 0.1, 1.0, 1e3),
+        Fitted("cycles", "", 1.0, 1.0, 1e3),
     )
 
     amplitude_rad: float = param(0.0, "amplitude of the angle's error, rad", 0.0, 0.75)
