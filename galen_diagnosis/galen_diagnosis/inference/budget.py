@@ -44,6 +44,7 @@ _RESOLVED = 1e-3
 _DRAWS, _SEED = 400, 1987
 _FAR = 10.0
 """Standard deviations of a cause's fit, which is next to no prior and keeps near it."""
+_AS_GOOD = 0.01
 _LEAST_NOISES = 3.0
 """Standard deviations of chance that the whole gap is at least."""
 
@@ -93,22 +94,27 @@ def budget(
     spread = _LEAST_NOISES * floor * np.sqrt(2.0 * len(whole))
     if whole @ whole - floor * len(whole) <= spread:
         return ()
-    together = _together(observation, behind, tolerances, best, off)
-    mean, covariance = together.posterior(observation, best, np.arange(len(together.gram)))
+    together = _together(observation, behind, tolerances, best, off[:, :0])
+    everything = np.arange(len(together.gram))
+    mean, covariance = together.posterior(observation, best, everything)
     chosen = _resolved(together, mean, covariance)
+    if off.shape[1]:
+        wider = _together(observation, behind, tolerances, best, off)
+        covariance = wider.posterior(observation, best, everything)[1]
     parts = [together.parts[k] for k in chosen]
-    while True:
-        shares = _shares(observation, together, best, parts, floor)
-        if shares is None:
-            return ()
-        kept = [
-            k for k, share in enumerate(shares[:-1])
-            if share.value > 0.0 or np.any(parts[k].change)
-        ]  # fmt: skip
-        if len(kept) == len(parts):
-            break
-        # What only makes up for what another does too much is no part of the gap.
-        parts = [parts[k] for k in kept]
+    shares = _shares(observation, together, best, parts, floor)
+    if shares is None:
+        return ()
+    # What only makes up for what another does too much is a part where without it more is left.
+    fewer = [
+        part
+        for part, share in zip(parts, shares, strict=False)
+        if share.value > 0.0 or np.any(part.change)
+    ]
+    if len(fewer) < len(parts):
+        without = _shares(observation, together, best, fewer, floor)
+        if without is not None and without[-1].value < shares[-1].value + _AS_GOOD:
+            parts, shares = fewer, without
     generator = np.random.default_rng(_SEED)
     items = []
     for part, share in zip(parts, shares, strict=False):
