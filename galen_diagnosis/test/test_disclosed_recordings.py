@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from galen_diagnosis.diagnose import main
+from galen_model.arm.galen import WRENCH_AXES
 from galen_sim_driver.effects.registry import identity_of
 
 from galen_validation.blind.answers import flat, read_answer
@@ -15,15 +16,16 @@ from galen_validation.blind.answers import flat, read_answer
 RECORDINGS = Path(__file__).resolve().parents[2].parent / "shared" / "recordings"
 FOUND = (
     *(f"disclosed/recording_{n}" for n in (359, 420, 601, 695, 942, 956)),
-    *(f"disclosed_2/recording_{n}" for n in (393, 404, 767, 824)),
+    *(f"disclosed_2/recording_{n}" for n in (390, 393, 404, 517, 767, 824, 842)),
+    *("data_sheet/recording_513", "six_joints/recording_908"),
 )
-MISSED = (
-    "disclosed_2/recording_224",  # a scale of 0.8 mm/m is too faint: none
-    "disclosed_2/recording_390",  # creep, which isn't listed: hysteresis with a gap, or unknown
-    "disclosed_2/recording_517",  # a hard gap: unknown, with the gap as the likeliest cause
-    "disclosed_2/recording_842",  # hysteresis of the sensor, which isn't listed: unknown
-)
-FORMER = {"tilt_zero_offset": ("joint_zero_offset", "tilt")}
+MISSED = ("disclosed_2/recording_224",)  # a scale of 0.8 mm/m is too faint: none
+FORMER = {
+    "tilt_zero_offset": ("joint_zero_offset", "tilt"),
+    "x_creep": ("deflection_creep", None),
+    "x_sensor_hysteresis": ("sensor_hysteresis", None),
+    "x_quadratic_sensor": ("sensor_nonlinearity", None),
+}
 LARGEST_ERROR = 0.15
 """Of the largest number of the same parameter: a cable's mean tension depends on its model."""
 
@@ -38,6 +40,8 @@ def diagnosed(name, tmp_path):
     for one in json.loads((recording / "truth.json").read_text())["effects"]:
         effect, joint = FORMER.get(one["effect"], (one["effect"], None))
         parameters = {**({"joint": joint} if joint else {}), **one["parameters"]}
+        if isinstance(parameters.get("axis"), int):
+            parameters["axis"] = WRENCH_AXES[parameters["axis"]]
         there[identity_of(effect, parameters)] = parameters
     return there, read_answer(tmp_path, "answer")
 

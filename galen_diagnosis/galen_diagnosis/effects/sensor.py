@@ -206,11 +206,11 @@ def lagging_candidates(observation: Observation, zero: Array) -> list[Candidate]
     """
     found = []
     ways = [*((True, knee) for knee in _KNEES), (False, _KNEES[1])]
-    bonus = -np.log(len(ways) * len(_TOGETHER))
+    bonus = -np.log(8.0)  # one of so many forms
     for restarts, knee in ways:
         unit = simulated.SensorHysteresis(1.0, knee=knee, restarts=restarts)
         lag = _at_rows(observation, unit.lag)
-        for axes in _TOGETHER:
+        for axes in _TOGETHER if knee == _KNEES[1] else _TOGETHER[:1]:
             own = list(simulated.AXES[axes])
             column = -np.sum(zero[:, own] * lag[:, own], axis=1, keepdims=True)
             effect = replace(unit, fraction=0.0, axes=axes)
