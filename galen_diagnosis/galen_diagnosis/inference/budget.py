@@ -134,10 +134,14 @@ def tolerances_after(
 ) -> tuple[Array, Array]:
     """Return a healthy arm's deviations (q,) and their covariance (q, q); arguments as of `budget`.
 
-    They are of zero mean beforehand.
+    Deviations are those that the gap is made of, else zero; the covariance is beside all.
     """
     together = _together(observation, behind, tolerances, best, off)
     mean, covariance = together.posterior(observation, best, np.arange(len(together.gram)))
+    kept = [together.parts[k].places for k in _resolved(together, mean, covariance)]
+    mean, _ = together.posterior(
+        observation, best, np.sort(np.concatenate([np.zeros(0, dtype=int), *kept]))
+    )
     count = tolerances.size
     return mean[:count], covariance[:count, :count]
 
@@ -242,6 +246,7 @@ def _resolved(
         k: (None, ()) for k, part in enumerate(parts) if _is_there(part, mean, covariance)
     }
     left = [k for k in range(len(parts)) if k not in chosen]
+    near: dict[int, list[int]] = {}
     while left:
         gains, chances, numbers = [], [], []
         for k in left:
@@ -258,11 +263,15 @@ def _resolved(
         first = int(np.argmin(chances))
         if chances[first] > _RESOLVED:
             break
-        near = [k for k, gain in zip(left, gains, strict=True) if gain > gains[first] - APART**2]
-        label = parts[left[first]].candidate.effect
-        others = dict.fromkeys(parts[k].candidate.effect for k in near)
-        chosen[left[first]] = numbers[first], tuple(name for name in others if name != label)
-        left = [k for k in left if k != left[first] and k not in near]
+        near[left[first]] = [
+            k for k, gain in zip(left, gains, strict=True) if gain > gains[first] - APART**2
+        ]
+        chosen[left[first]] = numbers[first], ()
+        left.remove(left[first])
+    for number, others in near.items():
+        label = parts[number].candidate.effect
+        names = dict.fromkeys(parts[k].candidate.effect for k in others if k in left)
+        chosen[number] = chosen[number][0], tuple(name for name in names if name != label)
     return chosen
 
 
