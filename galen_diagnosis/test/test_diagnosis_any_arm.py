@@ -126,7 +126,7 @@ def test_the_zero_of_a_wrist_joint_is_found_from_still_poses_alone(tmp_path, cap
     (cause,) = found["causes"]
     assert (cause["effect"], cause["joint"]) == ("joint_zero_offset", "wrist_2")
     low, high = cause["parameters"]["offset_rad"]["ci95"]
-    assert low < 0.01 < high and high - low < 0.001
+    assert low < 0.01 < high and high - low < 0.0015  # beside an eccentricity within its limit
     assert "shoulder_pan" in found["where"]["poses"][0]["joints"]
     assert (tmp_path / "out" / "pictures" / "gap.png").exists()
     assert "wrist_2" in capsys.readouterr().out

@@ -120,6 +120,8 @@ class DiagnosedEffect:
     """A jump at a time that is not known."""
     most_forms: int = 1
     """How many of its forms are fitted on the simulator."""
+    plausible: Callable[[Any, DiagnosticRecording], bool] = lambda effect, recording: True
+    """Whether it can be so by what the recording's files say; a fit that can't is none."""
     general: bool = False
     """Linear in many numbers: not fitted where another single effect is far likelier."""
     parameters: Callable[[Observation, Any], dict[str, Any]] = lambda _, effect: (

@@ -23,6 +23,7 @@ from galen_diagnosis.effects.diagnosed_effect import DiagnosedEffect, FileParts,
 from galen_diagnosis.effects.general_shapes import ForceField
 from galen_diagnosis.effects.table_data import LEVER_M, TablePlant, by_simulator
 from galen_diagnosis.observation.observation import UNKNOWNS, Observation, Unknowns
+from galen_diagnosis.observation.recording import DiagnosticRecording
 
 _MASS_KG, _COM_M = 0.1e-3, 0.1e-3
 """What a tool's file may be off at most and still be right, however unsure it says it is itself."""
@@ -101,26 +102,38 @@ def _inertia_in_mujoco(effect: simulated.InertialLoad, parts: MujocoParts) -> No
     parts.own_kg_m2 = np.array(effect.own_inertia_kg_m2)
 
 
-_OWN_INERTIA_KG_M2 = 1e-3
-"""Usual size: 0.3 kg within 0.1 m."""
+_GYRATION_M2, _LARGEST_M2 = 3e-3, 0.01
+"""Own inertia over mass, usual and of what is held by a hand: squares of 55 and 100 mm."""
 
 
 def _bodies(_: Observation, effect: simulated.InertialLoad) -> Iterator[Candidate]:
     """Yield points at the file's centres, and a body there whose own inertia is not known."""
     points = plain_form(effect, "points")
     yield points
-    own = np.full(6, _OWN_INERTIA_KG_M2)
-    typical = np.concatenate([points.typical, own])
+
+    def body(values: Array) -> Effect:
+        squares = np.zeros(6)  # in the linear picture the mass is all
+        squares[: len(values) - 1] = values[1:]
+        own = values[0] * np.clip(squares, -_LARGEST_M2, _LARGEST_M2)
+        return replace(effect, mass_kg=float(values[0]), own_inertia_kg_m2=floats(own))
+
+    typical = np.concatenate([points.typical, np.full(6, _GYRATION_M2)])
+    start, probe = np.zeros(7), 0.05 * typical
     yield replace(
-        points,
-        label="body",
-        free=np.arange(7),
-        start=np.zeros(7),
-        typical=typical,
-        probe=0.05 * typical,
-        make=lambda v: replace(effect, mass_kg=float(v[0]), own_inertia_kg_m2=floats(v[1:])),
-        wider=True,
-    )
+        points, label="body", free=np.arange(7), start=start, typical=typical, probe=probe,
+        make=body, linear=1, wider=True,
+    )  # fmt: skip
+
+
+def _mass_is_the_files(effect: simulated.InertialLoad, recording: DiagnosticRecording) -> bool:
+    """Whether a body has the mass of tool and adapter, to a factor of 2; of points it may be less.
+
+    With an inertia of its own a body of any mass takes what something loose does in the tool.
+    """
+    whole = recording.tool.load.mass_kg + recording.tool.adapter.mass_kg
+    if recording.inertial_forces or not any(effect.own_inertia_kg_m2):
+        return True
+    return 0.5 * whole < effect.mass_kg < 2.0 * whole
 
 
 INERTIAL_LOAD = DiagnosedEffect(
@@ -130,6 +143,7 @@ INERTIAL_LOAD = DiagnosedEffect(
     remedy="compensate with inertial forces",
     needs="motion",
     forms=_bodies,
+    plausible=_mass_is_the_files,
     most_forms=2,
     known="firm",
     advice=lambda _, recording: (

@@ -84,8 +84,14 @@ def search(observation: Observation, progress: Progress | None = None) -> Found:
         larger = _grown(observation, forms, better, singles, _MORE, none.cost)
         hypotheses += larger
     hypotheses += _pruned(observation, forms, hypotheses, none.cost)
+    hypotheses = [one for one in hypotheses if _plausible(observation, one)]
     ordered = tuple(sorted(hypotheses, key=lambda hypothesis: -hypothesis.log_bayes))
     return Found(forms, ordered, _by_effect(judged), none)
+
+
+def _plausible(observation: Observation, one: Hypothesis) -> bool:
+    each = zip(one.parts, one.effects, strict=True)
+    return all(record_of(part.effect).plausible(e, observation.recording) for part, e in each)
 
 
 def _by_effect(judged: list[tuple[Candidate, Evidence]]) -> dict[str, float]:

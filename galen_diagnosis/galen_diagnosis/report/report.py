@@ -45,7 +45,7 @@ DIAGNOSIS, REPORT, EFFECT, PICTURES = (
     "found_effect.yaml",
     "pictures",
 )
-RESULT_VERSION = 2
+RESULT_VERSION = 3
 """To be raised where answers change: kept ones of before are then not taken for today's."""
 _SHOWN_PROBABILITY = 0.005
 _RANKED = 6
