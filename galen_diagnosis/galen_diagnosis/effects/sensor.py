@@ -77,13 +77,26 @@ def _gains_on_gains(effect: simulated.AxisGain, file: FileParts, variances: Arra
     file.remount(effect.name, range(3, 9), variances, replace(file.mounting, axis_gain=gain))
 
 
+def _gains_in_table(plant: TablePlant) -> list[Columns]:
+    """Return the gains of all axes, of each alone, and of the three forces alike."""
+    whole = plant.columns(simulated.AxisGain())
+    typical = simulated.AxisGain.fitted[0].typicals
+
+    def alike(axes: Array) -> Columns:
+        values = (whole.values @ axes)[:, :, None]
+        return Columns(values, {"gain": lambda w: typical * axes * w[0]})
+
+    forces = np.repeat([1.0, 0.0], 3)
+    return [whole, *map(alike, np.eye(6)), alike(forces)]
+
+
 AXIS_GAIN = DiagnosedEffect(
     name=simulated.AxisGain.name,
     title="gains of the sensor's axes",
     sentence="the sensor's axes read too much, by {gain}",
     remedy="have the sensor calibrated, or divide its readings by the gains",
     healthy=True,
-    in_table=by_simulator(simulated.AxisGain()),
+    in_table=_gains_in_table,
     in_file=_gains_on_gains,
     mujoco="reading_k becomes (1 + gain_k) reading_k",
     gazebo="no such thing: the same formula",
