@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from galen_common.parameters import param
@@ -45,6 +46,18 @@ def test_no_other_room_names_an_effect(room):
     for file in (Path(registry.__file__).parents[1] / room).rglob("*.py"):
         text = file.read_text(encoding="utf-8")
         assert not [name for name in RECORDS if f'"{name}"' in text], file
+
+
+@pytest.mark.parametrize(
+    ("mass_kg", "own", "inertial_forces", "can_be"),
+    [(0.3, 1e-4, False, True), (0.01, 1e-4, False, False), (0.01, 0.0, False, True),
+     (0.7, 1e-4, False, False), (0.01, 1e-4, True, True)],
+)  # fmt: skip
+def test_a_body_accelerates_with_the_mass_of_the_file(mass_kg, own, inertial_forces, can_be):
+    tool = SimpleNamespace(load=SimpleNamespace(mass_kg=0.2), adapter=SimpleNamespace(mass_kg=0.1))
+    recording = SimpleNamespace(tool=tool, inertial_forces=inertial_forces)
+    effect = InertialLoad(mass_kg, (own,) * 3 + (0.0,) * 3)
+    assert RECORDS[effect.name].plausible(effect, recording) is can_be
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,56 @@
+"""Tables since an earlier one of the same sensor and load: its own errors cancel."""
+
+import json
+
+import numpy as np
+import pytest
+from galen_diagnosis.diagnose import main
+
+NAMES = "fx,fy,fz,tx,ty,tz,gx,gy,gz"
+OWN = np.diag([0.03, -0.04, 0.02, 0.0, 0.0, 0.0])
+"""What this sensor reads wrong on both days."""
+
+
+def table(path, seed, more=None, count=24):
+    draws = np.random.default_rng(seed)
+    direction = draws.standard_normal((count, 3))
+    gravity = 9.80665 * direction / np.linalg.norm(direction, axis=1, keepdims=True)
+    force = 0.9 * gravity
+    wrench = np.hstack([force, np.cross([0.0, 0.01, 0.05], force)])
+    wrench = wrench + wrench @ OWN.T + (0.0 if more is None else wrench @ more.T)
+    noise = draws.standard_normal(wrench.shape) * ([0.02] * 3 + [0.001] * 3)
+    rows = np.hstack([wrench + noise + draws.standard_normal(6), gravity])
+    np.savetxt(path, rows, delimiter=",", header=NAMES, comments="")
+    return str(path)
+
+
+def answer(tmp_path, capsys, *arguments):
+    command = ["--json", "--no-report", "--overwrite", "--output", str(tmp_path / "out")]
+    code = main([*arguments, *command])
+    out, err = capsys.readouterr()
+    return (json.loads(out) if code == 0 else err), code
+
+
+@pytest.mark.slow
+def test_only_what_was_added_since_is_a_cause(tmp_path, capsys):
+    earlier = table(tmp_path / "earlier.csv", 1)
+    added = np.zeros((6, 6))
+    added[1, 2] = 0.03
+    later = table(tmp_path / "later.csv", 2, added)
+    found, code = answer(tmp_path, capsys, later, "--reference", earlier)
+    assert code == 0 and found["reference"] == ["earlier"]
+    (cause,) = found["causes"]
+    assert (cause["effect"], cause["parameters"]["from"]) == ("crosstalk", "fz")
+    low, high = cause["parameters"]["coefficient"]["ci95"]
+    assert cause["parameters"]["to"] == "fy" and low < 0.03 < high
+    same = table(tmp_path / "same.csv", 3)
+    found, code = answer(tmp_path, capsys, same, "--reference", earlier)
+    assert code == 0 and found["verdict"] == "none"
+
+
+@pytest.mark.parametrize("count", [4, 5])
+def test_too_few_readings_are_no_reference(tmp_path, capsys, count):
+    few = table(tmp_path / "few.csv", 1, count=count)
+    said, code = answer(tmp_path, capsys, table(tmp_path / "later.csv", 2), "--reference", few)
+    assert code == 1
+    assert f"{few}: {count} readings are too few for a reference, which takes 6 or more" in said
