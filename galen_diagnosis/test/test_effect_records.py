@@ -15,6 +15,7 @@ from galen_diagnosis.report.words import next_steps
 from galen_diagnosis.simulated_recording import make_recording
 from galen_model.arm.galen import GALEN
 from galen_sim_driver.effects.effect import Effect, Fitted
+from galen_sim_driver.effects.load import InertialLoad
 from galen_sim_driver.effects.registry import EFFECTS
 
 ROOMS = ("answer", "experiment", "inference", "observation", "report", "tables")
