@@ -94,13 +94,12 @@ def budget(
     spread = _LEAST_NOISES * floor * np.sqrt(2.0 * len(whole))
     if whole @ whole - floor * len(whole) <= spread:
         return ()
-    together = _together(observation, behind, tolerances, best, off[:, :0])
+    together = _together(observation, behind, tolerances, best)
     everything = np.arange(len(together.gram))
     mean, covariance = together.posterior(observation, best, everything)
     chosen = _resolved(together, mean, covariance)
     if off.shape[1]:
-        wider = _together(observation, behind, tolerances, best, off)
-        covariance = wider.posterior(observation, best, everything)[1]
+        covariance = together.with_models(best, off).posterior(observation, best, everything)[1]
     parts = [together.parts[k] for k in chosen]
     shares = _shares(observation, together, best, parts, floor)
     if shares is None:
@@ -136,7 +135,7 @@ def tolerances_after(
 
     Deviations are those that the gap is made of, else zero; the covariance is beside all.
     """
-    together = _together(observation, behind, tolerances, best, off)
+    together = _together(observation, behind, tolerances, best).with_models(best, off)
     mean, covariance = together.posterior(observation, best, np.arange(len(together.gram)))
     kept = [together.parts[k].places for k in _resolved(together, mean, covariance)]
     mean, _ = together.posterior(
@@ -159,6 +158,27 @@ class _Together:
     gram: Array
     along: Array
 
+    @classmethod
+    def of(
+        cls,
+        columns: Array,
+        precision: Array,
+        parts: list[_Part],
+        beside: Background,
+        known: Background,
+        best: Hypothesis,
+    ) -> _Together:
+        """Set up the normal equations."""
+        own = known.left(columns)
+        return cls(
+            columns, precision, parts, beside, known, own, own.T @ columns, own.T @ best.raw_rows
+        )
+
+    def with_models(self, best: Hypothesis, off: csc_array) -> _Together:
+        """Return the same beside what the causes' models may be off (N, M)."""
+        known = self.beside.beside(off, 1.0)
+        return self.of(self.columns, self.precision, self.parts, self.beside, known, best)
+
     def posterior(
         self, observation: Observation, best: Hypothesis, kept: np.ndarray
     ) -> tuple[Array, Array]:
@@ -173,20 +193,12 @@ class _Together:
 
 
 def _together(
-    observation: Observation,
-    behind: Background,
-    tolerances: Tolerances,
-    best: Hypothesis,
-    off: csc_array,
+    observation: Observation, behind: Background, tolerances: Tolerances, best: Hypothesis
 ) -> _Together:
     columns, precision, parts = _joined(observation, tolerances, best)
     first = len(behind.prior_std) - tolerances.size
     beside = Background(behind.columns[:, :first], behind.prior_std[:first])
-    known = beside.beside(off, 1.0)
-    own = known.left(columns)
-    return _Together(
-        columns, precision, parts, beside, known, own, own.T @ columns, own.T @ best.raw_rows
-    )
+    return _Together.of(columns, precision, parts, beside, beside, best)
 
 
 def _joined(
@@ -201,7 +213,7 @@ def _joined(
     precision[first:, first:] = np.linalg.pinv(best.covariance, hermitian=True) / _FAR**2
     parts, taken = [], set()
     for part, values, where, change in zip(
-        best.parts, best.values, best.slices(), _changes(observation, best), strict=True
+        best.parts, best.values, best.slices(), best.changes(observation), strict=True
     ):
         places = [*range(first + where.start, first + where.stop)]
         which = [*range(len(values))]
@@ -219,17 +231,6 @@ def _joined(
             each = np.arange(place.start, place.stop)
             parts.append(_Part(own, own.start.copy(), nothing, each, np.arange(len(each))))
     return columns, precision, parts
-
-
-def _changes(observation: Observation, best: Hypothesis) -> list[Array]:
-    """Return what each effect of a hypothesis changes of the rows (N,) beside the others."""
-    whole = observation.change(best.effects)
-    out = []
-    for part, values, one in zip(best.parts, best.values, best.effects, strict=True):
-        others = [other for other in best.effects if other is not one]
-        alone = whole - observation.change(others) if others else whole
-        out.append(alone + part.unsimulated(values))
-    return out
 
 
 def _resolved(

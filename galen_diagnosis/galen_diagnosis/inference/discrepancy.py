@@ -117,15 +117,7 @@ class Discrepancies:
 
         Less what the unknowns take of it, which shows nowhere.
         """
-        whole = self._observation.change(hypothesis.effects)
-        out = []
-        for part, values, one in zip(
-            hypothesis.parts, hypothesis.values, hypothesis.effects, strict=True
-        ):
-            others = [other for other in hypothesis.effects if other is not one]
-            alone = whole - self._observation.change(others) if others else whole
-            out.append(self._behind.left(alone + part.unsimulated(values)))
-        return out
+        return [self._behind.left(one) for one in hypothesis.changes(self._observation)]
 
     def varying(
         self, behind: Background, hypothesis: Hypothesis, shown: Sequence[Array]

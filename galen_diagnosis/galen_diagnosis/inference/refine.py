@@ -65,6 +65,16 @@ class Hypothesis:
             energies.append(float(off @ block @ off))
         return tuple(energies)
 
+    def changes(self, observation: Observation) -> list[Array]:
+        """Return what each effect changes of the rows (N,) beside the others."""
+        whole = observation.change(self.effects)
+        out = []
+        for part, values, one in zip(self.parts, self.values, self.effects, strict=True):
+            others = [other for other in self.effects if other is not one]
+            alone = whole - observation.change(others) if others else whole
+            out.append(alone + part.unsimulated(values))
+        return out
+
     def slices(self) -> list[slice]:
         """Where each part's numbers are among all."""
         ends = np.cumsum([len(values) for values in self.values])
