@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,11 +10,13 @@ from galen_diagnosis.answer.answer import RESIDUAL, BudgetItem, Interval
 from galen_diagnosis.diagnose import main
 from galen_diagnosis.effects.forms import Forms
 from galen_diagnosis.inference.budget import budget
+from galen_diagnosis.inference.diagnosing import diagnose_recording
 from galen_diagnosis.inference.refine import nothing
 from galen_diagnosis.observation.observation import Observation
 from galen_diagnosis.observation.recording import read_recording
 from galen_diagnosis.simulated_recording import make_recording
 from galen_model.arm.galen import GALEN
+from galen_model.errors import GalenError
 from galen_sim_driver.effects.joints import JointZeroOffset
 from galen_sim_driver.effects.load import ToolMassError
 from galen_sim_driver.effects.sensor import AxisGain
@@ -94,6 +97,15 @@ def test_each_number_of_an_item_has_its_limit():
     content = item.to_json()
     assert [one["limit"] for one in content["parameters"]["gain"]] == [0.5, 0.6]
     assert content["specification"] == "within" and content["joint"] is None
+
+
+def test_a_recording_of_another_arm_is_no_reference():
+    later, other = (
+        SimpleNamespace(name=name, arm=SimpleNamespace(joint_names=(joint,)), earlier=None)
+        for name, joint in (("later", "tilt"), ("other", "elbow"))
+    )
+    with pytest.raises(GalenError, match=r"other: no reference of later.*elbow, not tilt"):
+        diagnose_recording(later, references=[other])
 
 
 def answer_of(tmp_path, capsys, *arguments):

@@ -54,3 +54,15 @@ def test_too_few_readings_are_no_reference(tmp_path, capsys, count):
     said, code = answer(tmp_path, capsys, table(tmp_path / "later.csv", 2), "--reference", few)
     assert code == 1
     assert f"{few}: {count} readings are too few for a reference, which takes 6 or more" in said
+
+
+def test_directions_in_a_plane_are_no_reference(tmp_path, capsys):
+    flat = tmp_path / "flat.csv"
+    rows = np.loadtxt(table(flat, 1), delimiter=",", skiprows=1)
+    rows[:, 8] = 0.0
+    rows[:, 6:] *= 9.80665 / np.linalg.norm(rows[:, 6:], axis=1, keepdims=True)
+    np.savetxt(flat, rows, delimiter=",", header=NAMES, comments="")
+    said, code = answer(
+        tmp_path, capsys, table(tmp_path / "later.csv", 2), "--reference", str(flat)
+    )
+    assert code == 1 and "too few directions of gravity" in said

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
+from galen_model.errors import GalenError
 from galen_model.estimation.evidence import Background, evidence
 from scipy.linalg import block_diag
 from scipy.sparse import hstack
@@ -160,6 +161,11 @@ def diagnose_recording(
     say = progress or (lambda what, share: None)
     settings = settings or load_settings()
     for number, one in enumerate(references):
+        if one.arm.joint_names != recording.arm.joint_names:
+            raise GalenError(
+                f"{one.name}: no reference of {recording.name}, since its arm has other joints:"
+                f" {', '.join(one.arm.joint_names)}, not {', '.join(recording.arm.joint_names)}"
+            )
         share = number / (len(references) + 1)
         known = one if recording.earlier is None else replace(one, earlier=recording.earlier)
         say(f"reference {one.name}", share)

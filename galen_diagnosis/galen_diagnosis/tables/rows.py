@@ -184,7 +184,12 @@ def _nominal_since(
             f"{earlier[0].path}: {len(design)} readings are too few for a reference, which takes"
             f" {design.shape[1] + _LEAST_FREEDOM} or more"
         )
-    cofactor = np.linalg.pinv(design.T @ design, hermitian=True)
+    if np.linalg.matrix_rank(design) < design.shape[1]:
+        raise GalenError(
+            f"{earlier[0].path}: the reference's readings lie in too few directions of gravity;"
+            " they have to span all three"
+        )
+    cofactor = np.linalg.inv(design.T @ design)
     fitted = cofactor @ design.T @ wrench
     std = np.sqrt(np.sum((wrench - design @ fitted) ** 2, axis=0) / freedom)
     moments, _ = plain_least_squares(gravity, wrench)
