@@ -19,7 +19,7 @@ from galen_calibration_behavior.common.commands import (
 from galen_calibration_behavior.common.commands import CalibrationCode as ErrorCode
 from galen_calibration_behavior.common.commands import CalibrationState as State
 from galen_calibration_behavior.common.parameters import CalibrationParameters
-from galen_common.goal.procedure import MoveTo, Stop
+from galen_common.goal.procedure import DISCOVERY_S, MoveTo, Stop
 from galen_model.arm.galen import GALEN
 
 SETTINGS = CalibrationParameters(
@@ -225,8 +225,19 @@ def test_an_arm_that_does_not_stop_after_a_cancel_is_told():
 def test_topics_that_never_came_are_named():
     world = World()
     world.dead = {"joint_states", "wrench_raw"}
-    world.run(limit_s=4.0)
+    world.run(limit_s=15.0)
     failed(world, ErrorCode.DRIVER_SILENT, "joint_states", "wrench_raw", "driver running")
+    assert world.wall_s >= DISCOVERY_S
+
+
+def test_a_first_sample_may_come_late():
+    """The publishers of a busy machine take seconds to learn of the subscription."""
+    world = World()
+    world.dead = {"wrench_raw"}
+    world.run(lambda world: world.wall_s > DISCOVERY_S - 1.0)
+    world.dead = set()
+    world.run(in_state(State.SWEEP_BARE))
+    assert not world.procedure.ending
 
 
 @pytest.mark.parametrize("topic", ["joint_states", "wrench_raw"])

@@ -260,11 +260,13 @@ def test_the_client_from_end_to_end_and_its_ctrl_c(tmp_path):
         assert "push 8 N along +x" in error
         assert "Traceback" not in error
         with client(harness, "tuesday", *here) as process:
+            lines = []
             for line in process.stderr:
+                lines.append(line)
                 if "push 8 N along +x" in line:
-                    break
-            process.send_signal(signal.SIGINT)
-            out, error = process.communicate(timeout=30.0)
+                    process.send_signal(signal.SIGINT)
+            process.wait(timeout=30.0)
+        error = "".join(lines)
         assert process.returncode == 130, error
         assert "CANCELED" in error
         assert "tuesday.unfinished" in error

@@ -103,10 +103,10 @@ def test_what_a_law_may_be_off_is_in_proportion_to_what_it_does():
         block=np.arange(count) // 20, bag_s=np.arange(count) % 80 / 10.0, pose=np.full(count, -1),
     )  # fmt: skip
     signature = np.where(np.arange(count) < 100, np.random.default_rng(3).normal(size=count), 0.0)
-    observation = SimpleNamespace(rows=rows, change=lambda effects: signature)
-    part = SimpleNamespace(effect="cable_drag", unsimulated=lambda values: 0.0)
+    observation = SimpleNamespace(rows=rows)
     behind = Background(np.zeros((count, 1)), np.ones(1))
-    fit = SimpleNamespace(parts=(part,), values=(None,), effects=(object(),))
+    part = SimpleNamespace(effect="cable_drag")
+    fit = SimpleNamespace(parts=(part,), effects=(None,), changes=lambda observation: [signature])
     off = Discrepancies(observation, behind).of(fit)[0].toarray()
     size = record_of("cable_drag").kappa
     np.testing.assert_allclose(np.sum(off**2, axis=1), (size * signature) ** 2, atol=1e-12)

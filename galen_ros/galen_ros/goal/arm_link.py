@@ -29,8 +29,6 @@ try:
 except ImportError:  # not on PyPI
     FollowJointTrajectory = None
 
-DISCOVERY_S = 5.0
-"""A driver that runs may take so long to be found: DDS repeats a lost announcement after 3 s."""
 _ANSWER_S = 0.5
 _DEPTH = 10
 

@@ -14,7 +14,7 @@ import numpy as np
 from galen_common.arm import ArmParameters, other_arm
 from galen_common.cdr import JointStateError, JointWire, WrenchWire, joint_positions
 from galen_common.goal.parameters import MotionParameters
-from galen_common.goal.procedure import End, GoalProcedure, MoveTo, Stop
+from galen_common.goal.procedure import DISCOVERY_S, End, GoalProcedure, MoveTo, Stop
 from galen_model.arm.arm import Arm
 from galen_model.arrays import Array
 from galen_model.errors import GalenError, one_line
@@ -27,7 +27,7 @@ from rclpy.node import Node
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 
-from galen_ros.goal.arm_link import DISCOVERY_S, ArmPublisher, PublisherWatch
+from galen_ros.goal.arm_link import ArmPublisher, PublisherWatch
 from galen_ros.messages import STREAM
 from galen_ros.node.diagnostics import ERROR, OK, WARN, DiagnosticsPublisher, Status
 from galen_ros.node.parameters import Held, declare_parameters
