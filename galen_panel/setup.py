@@ -11,7 +11,7 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/" + package_name]),
         ("share/" + package_name, ["package.xml"]),
     ],
-    install_requires=["setuptools"],
+    install_requires=["setuptools", "nicegui", "starlette", "uvicorn"],
     zip_safe=False,
     maintainer="The Galen suite's authors",
     maintainer_email="galen@example.org",

@@ -2,6 +2,10 @@
 
 import ast
 import functools
+import re
+import sys
+import tomllib
+from itertools import chain
 from pathlib import Path
 
 import pytest
@@ -131,3 +135,40 @@ def names_of_packages(name):
     """The suite's packages that a module imports."""
     roots = {one.split(".")[0] for one in imported(name)[1]}
     return {root for root in roots if root.startswith("galen_")}
+
+
+# A rosdep key, or a package on PyPI, by the module that is imported; of others both are its name.
+DECLARED_AS = {
+    "backports": "backports.zstd", "compression": "backports.zstd", "jinja2": "python3-jinja2",
+    "matplotlib": "python3-matplotlib", "numpy": "python3-numpy", "rich": "python3-rich",
+    "rosbags": "python3-rosbags-pip", "scipy": "python3-scipy", "tqdm": "python3-tqdm",
+    "uvicorn": "python3-uvicorn", "yaml": "python3-yaml",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_what_is_imported_is_declared(package):
+    """package.xml has it as a key, or as a comment where rosdep has none; setup.py these, too."""
+    xml = (ROOT / package / "package.xml").read_text(encoding="utf-8")
+    keys = set(re.findall("<exec_depend>(.*?)</exec_depend>", xml))
+    of_pypi = re.findall(r"<!-- (No rosdep key|Optional), from PyPI.*?: (.*?) -->", xml)
+    from_pypi = {name for _, names in of_pypi for name in names.split(", ")}
+    own = [name for name in modules() if name.split(".")[0] == package]
+    roots = {one.split(".")[0] for name in own for one in imported(name)[1]}
+    needed = {DECLARED_AS.get(r, r) for r in roots - sys.stdlib_module_names - {package}}
+    assert needed <= keys | from_pypi
+    setup = (ROOT / package / "setup.py").read_text(encoding="utf-8")
+    assert {name for name in from_pypi if f'"{name}' not in setup} == set()
+
+
+def test_the_python_package_declares_what_it_imports():
+    content = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    project = content["project"]
+    given = chain(project["dependencies"], *project["optional-dependencies"].values())
+    named = {re.match(r"[\w.-]+", one)[0] for one in given}
+    of_pypi = {"pinocchio": "pin", "yaml": "pyyaml", "backports": "backports.zstd"}
+    inside = set(content["tool"]["setuptools"]["packages"]["find"]["where"])
+    own = [n for n in modules() if n.split(".")[0] in inside and not may_import_ros(n)]
+    roots = {one.split(".")[0] for name in own for one in imported(name)[1]}
+    others = roots - sys.stdlib_module_names - set(PACKAGES) - {"compression", "galen_msgs"}
+    assert {of_pypi.get(one, one) for one in others} <= named

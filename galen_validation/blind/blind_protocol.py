@@ -50,14 +50,15 @@ from galen_validation.blind.labels import (
     sealed,
 )
 from galen_validation.blind.mujoco_arm import require_mujoco
-from galen_validation.blind.session import six_axis
+from galen_validation.blind.session import ARMS, USUAL, six_axis
 from galen_validation.blind.unlisted import NEED_SPRINGS, TEST_UNKNOWN
 
 _END_S = 20.0  # in which the diagnosing process ends by SIGINT
 DIAGNOSING = (sys.executable, "-m", "galen_validation.blind.diagnosing")
-_PAIRS_PER_CLASS = 15
+_PAIRS_PER_CLASS, _SEVERAL_PER_CLASS = 10, 6
 _KINDS: dict[str, LabelKind] = {
-    NONE: "none", "single": "single", "pair": "pair", "ambiguous": "ambiguous",
+    NONE: "none", "single": "single", "pair": "pair", "several": "several",
+    "ambiguous": "ambiguous",
     "unknown_test": "unknown",
 }  # fmt: skip
 _SHORT = (
@@ -111,23 +112,28 @@ def full_plan(seed: int, per_class: int, healthy: int) -> dict[str, Case]:
     """Plan a set: cases by the names of their recordings.
 
     `per_class` recordings of each listed effect at each strength and of each unlisted one that is
-    clear and gross, 15 pairs and two twins for each of these, and `healthy` ones. Every fourth is
-    of the six-joint arm. Joints, pairs and twins are drawn.
+    clear and gross, 10 pairs, 6 of three to five effects and two twins for each of these, and
+    `healthy` ones, of the arms in turn. Joints, pairs and twins are drawn.
     """
     random = np.random.default_rng([seed, 1])
     rigid = [name for name in TEST_UNKNOWN if name not in NEED_SPRINGS]
-    shown = {"galen": [*listed(GALEN), *TEST_UNKNOWN], "six_axis": [*listed(six_axis()), *rigid]}
+    of_galen, of_six = [*listed(GALEN), *TEST_UNKNOWN], [*listed(six_axis()), *rigid]
+    shown = {arm: of_galen if arm.startswith("galen") else of_six for arm in ARMS}
     classes = list(dict.fromkeys(name.partition(":")[0] for name in listed(GALEN)))
     wanted = [("single", effect, s) for effect in classes for s in STRENGTHS]
     wanted += [("unknown_test", name, s) for name in TEST_UNKNOWN for s in ("clear", "gross")]
     wanted += [("pair", "", "clear")] * _PAIRS_PER_CLASS + [("ambiguous", "", "clear")] * 2
+    wanted += [("several", "", "clear")] * _SEVERAL_PER_CLASS
     wanted = [*wanted * per_class, *[(NONE, "", "clear")] * healthy]
     sorts: list[Sort] = []
     for number, (kind, effect, strength) in enumerate(wanted):
         at = {
             arm: [x for x in names if x.partition(":")[0] == effect] for arm, names in shown.items()
         }
-        arm = "six_axis" if number % 4 == 3 and (at["six_axis"] or not effect) else "galen"
+        # One further in each turn over the arms, so that a strength isn't always of the same one.
+        arm = list(ARMS)[(number + number // len(ARMS)) % len(ARMS)]
+        if effect and not at[arm]:
+            arm = "galen_usual" if arm.endswith(USUAL) else "galen"
         names = (at[arm][random.integers(len(at[arm]))],) if effect else ()
         sorts.append((kind, names, strength, arm))
     return _named(sorts, seed)

@@ -12,9 +12,10 @@ names this recording can't separate from the true one.
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -22,9 +23,16 @@ import numpy as np
 from galen_diagnosis.effects.forms import healthy_background, unknown_columns
 from galen_diagnosis.observation.observation import Observation
 from galen_diagnosis.observation.recording import BagData, DiagnosticRecording, Track
-from galen_diagnosis.observation.specification import CALIBRATED, specification_of
+from galen_diagnosis.observation.specification import (
+    CALIBRATED,
+    DEFAULT,
+    SPECIFICATION_FILE,
+    specification_of,
+)
+from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
+from galen_model.files.atomic_file import write_whole
 from galen_sim_driver.effects.effect import Effect, Instants, Loading
 from galen_sim_driver.effects.registry import LIMITED
 from scipy.spatial.transform import Rotation
@@ -32,13 +40,15 @@ from scipy.spatial.transform import Rotation
 from galen_validation.blind.baselines import templates
 from galen_validation.blind.causes import NEED_PUSHES, Cause, listed, pairs, twins
 from galen_validation.blind.measuring import (
+    CROSSTALK_LEVER_M,
     Measurement,
     draw_tolerance,
+    limits,
     recorded,
     tool_file,
     write_recording,
 )
-from galen_validation.blind.session import ARMS, BAGS, draw_session
+from galen_validation.blind.session import ARMS, BAGS, USUAL, draw_session
 from galen_validation.blind.unlisted import (
     CALIBRATION_UNKNOWN,
     NEED_SPRINGS,
@@ -48,14 +58,21 @@ from galen_validation.blind.unlisted import (
 
 STRENGTHS = {"faint": 6.0, "clear": 30.0, "gross": 150.0}
 """D of each."""
+OF_LIMITED = {"faint": 3.0, "clear": 10.0, "gross": 60.0}
+"""D of those that a specification limits, which allows for as much beside them."""
 
-KINDS = ("none", "single", "pair", "unknown_calibration", "unknown_test", "ambiguous")
+KINDS = ("none", "single", "pair", "several", "unknown_calibration", "unknown_test", "ambiguous")
 
 TELLABLE = 3.3
 """Two causes nearer to each other than this can't be separated: 5 % errors each way, 2 x 1.65."""
 _PARTED = 2.0 * TELLABLE
 """What has to stay of a cause beside the other of a pair, or of an unlisted one beside any."""
 _REDRAWS = 3
+BEYOND = 3.0
+"""Causes over so many times their limit are to be named."""
+_LEAST = {"faint": 1.0 / 3.0, "clear": BEYOND, "gross": 2.0 * BEYOND}
+"""Causes are at least so many times their limit."""
+_SEVERAL = (3, 4, 5)
 _NEAR = 1.25
 _STEPS = 5
 
@@ -102,22 +119,26 @@ def generate(case: Case, directory: Path) -> Truth:
         raise GalenError(f"{directory}: is there already, and isn't empty")
     if case.arm not in ARMS:
         raise GalenError(f"{case.arm!r} is no arm of the blind check; there are {', '.join(ARMS)}")
-    arm = ARMS[case.arm]()
+    arm, usual = ARMS[case.arm](), case.arm.endswith(USUAL)
     bags = tuple(b for b in case.bags if case.kind != "ambiguous" or b != "push")
-    session = draw_session(case.seed, bags, arm=arm)
-    changed, truth = (
-        Measurement(session, draw_tolerance(case.seed, case.tolerance, arm=arm)),
-        Truth(),
-    )
+    session = draw_session(case.seed, bags, arm=arm, usual=usual)
+    tolerance = draw_tolerance(case.seed, case.tolerance, arm=arm, usual=usual)
+    changed, truth = Measurement(session, tolerance), Truth()
+    specified = limits(session) if usual else None
     if case.kind != "none":
-        changed, truth = _hidden(case, _Yardstick(changed))
+        changed, truth = _hidden(case, _Yardstick(changed, specified))
     directory.mkdir(parents=True, exist_ok=True)
     write_recording(directory, changed)
+    if specified is not None:
+        content = {"schema_version": 1, "name": "data sheets", "limits": specified}
+        write_whole(directory / SPECIFICATION_FILE, json.dumps(content, indent=1))
     return truth
 
 
-def observed(measured: Measurement) -> DiagnosticRecording:
-    """Return what reading the recording gives, without writing it."""
+def observed(
+    measured: Measurement, specified: Mapping[str, Any] | None = None
+) -> DiagnosticRecording:
+    """Return what reading the recording gives, without writing it; with the limits of its file."""
     samples = recorded(measured)
     first_ns = {bag: min(s.joint_ns[0], s.wrench_ns[0]) for bag, s in samples.items()}
     bags = {}
@@ -132,10 +153,43 @@ def observed(measured: Measurement) -> DiagnosticRecording:
         )  # fmt: skip
     session = measured.session
     missing = tuple(bag for bag in BAGS if bag not in bags)
-    limits = specification_of([CALIBRATED], dict.fromkeys(LIMITED))
-    return DiagnosticRecording(
-        "healthy", tool_file(session), bags, missing, (), session.arm, limits
-    )
+    whole = specification_of([CALIBRATED], dict.fromkeys(LIMITED))
+    if specified is not None:
+        whole = replace(whole, limits={effect: by_part(of) for effect, of in specified.items()})
+    return DiagnosticRecording("healthy", tool_file(session), bags, missing, (), session.arm, whole)
+
+
+def by_part(limit: Any) -> Mapping[str, float]:
+    """Return a limit of a specification's file by joint, axis or `default`."""
+    return limit if isinstance(limit, Mapping) else {DEFAULT: limit}
+
+
+def over_limit(
+    cause: Cause, truth: Mapping[str, Any], specified: Mapping[str, Any] | None
+) -> float:
+    """Return how many times its limit a cause is; infinite where it has none.
+
+    A drift's rate is a mean, which says nothing of its size.
+    """
+    effect = cause.name.partition(":")[0]
+    if specified is None or effect not in specified or effect == "sensor_drift":
+        return math.inf
+    size = abs(cause.size)
+    if effect == "axis_gain":
+        size = max(map(abs, truth["gain"]))
+    elif effect == "crosstalk":
+        levers = {name: CROSSTALK_LEVER_M if name[0] == "t" else 1.0 for name in WRENCH_AXES}
+        size = abs(truth["coefficient"]) * levers[truth["from"]] / levers[truth["to"]]
+    elif effect in _OF_TRUTH:
+        size = abs(truth[_OF_TRUTH[effect]])
+    return size / float(by_part(specified[effect])[DEFAULT])
+
+
+_OF_TRUTH = {
+    "sensor_nonlinearity": "coefficient", "sensor_hysteresis": "fraction",
+    "cable_drag": "tension_N", "deflection_hysteresis": "residual_fraction",
+}  # fmt: skip
+"""Parameters that are another number than the cause's size."""
 
 
 @dataclass(frozen=True)
@@ -178,9 +232,11 @@ class _Difference(Effect):
 class _Yardstick:
     """Measures causes in one session, in the rows of its healthy recording."""
 
-    def __init__(self, healthy: Measurement) -> None:
+    def __init__(self, healthy: Measurement, specified: Mapping[str, Any] | None = None) -> None:
+        """Take the limits of a specification, where there is one."""
         self.healthy = healthy
-        self._observation = Observation(observed(healthy))
+        self.specified = specified
+        self._observation = Observation(observed(healthy, specified))
         self._behind = healthy_background(self._observation)
         self._directions: list[tuple[str, Array]] = []
 
@@ -226,9 +282,11 @@ class _Yardstick:
         return min(self.left(difference).values())
 
     def sized(
-        self, cause: Cause, wanted: float, measure: Callable[[Array], float]
+        self, cause: Cause, wanted: float, measure: Callable[[Array], float], least: float
     ) -> tuple[Measurement, Array]:
         """Return the arm with the cause as large as this D asks, or its largest, and d.
+
+        It is at least so many times its limit.
 
         D goes about with the size; where that leaves what is known to hold it, halves follow.
         """
@@ -247,7 +305,17 @@ class _Yardstick:
                 following = 0.5 * (low + min(high, 2.0 * cause.largest))
             if step < steps - 1:
                 cause = cause.resized(math.copysign(following, cause.size))
+        over = self.over(changed)
+        if 0.0 < over < least:
+            cause = cause.resized(1.1 * least / over * cause.size)
+            changed = self.with_causes([cause])
+            difference = self.difference(changed)
         return changed, difference
+
+    def over(self, changed: Measurement) -> float:
+        """Return how many times its limit an arm's one cause is."""
+        (cause,) = changed.causes
+        return over_limit(cause, cause.truth(cause.size, changed), self.specified)
 
 
 def _hidden(case: Case, yardstick: _Yardstick) -> tuple[Measurement, Truth]:
@@ -262,15 +330,19 @@ def _hidden(case: Case, yardstick: _Yardstick) -> tuple[Measurement, Truth]:
         alone: list[Measurement] = []
         strengths: list[float] = []
         lefts: list[dict[str, float]] = []
+        overs: list[float] = []
         for name in names:
             measure = yardstick.left_by_best if name in UNLISTED else yardstick.strength
+            limited = name.partition(":")[0] in (yardstick.specified or ())
+            wanted = (OF_LIMITED if limited else STRENGTHS)[case.strength]
             changed, difference = yardstick.sized(
-                draws[name](rng, yardstick.healthy), STRENGTHS[case.strength], measure
+                draws[name](rng, yardstick.healthy), wanted, measure, _LEAST[case.strength]
             )
             alone.append(changed)
+            overs.append(yardstick.over(changed))
             strengths.append(measure(difference))
             lefts.append(yardstick.left(difference))
-        if case.kind == "pair" and _parted(names, lefts) < _PARTED:
+        if len(names) > 1 and _parted(names, lefts) < _PARTED:
             continue
         if names[0] not in UNLISTED or strengths[0] >= _PARTED:
             break
@@ -284,22 +356,26 @@ def _hidden(case: Case, yardstick: _Yardstick) -> tuple[Measurement, Truth]:
         }
         for cause in causes
     )
-    rows = zip(names, strengths, lefts, strict=True)
+    rows = zip(names, strengths, lefts, overs, strict=True)
     acceptable = tuple(_acceptable(*row) for row in rows)
     return together, Truth(case.strength, effects, tuple(strengths), acceptable)
 
 
-def _acceptable(name: str, strength: float, left: dict[str, float]) -> tuple[str, ...]:
+def _acceptable(name: str, strength: float, left: dict[str, float], over: float) -> tuple[str, ...]:
     if name in UNLISTED:
         return ("unknown",)
     others = [other for other, rest in left.items() if rest < TELLABLE and other != name]
-    return (name, *others, *(["none"] if strength < TELLABLE else []))
+    return (name, *others, *(["none"] if strength < TELLABLE or over < BEYOND else []))
 
 
 def _parted(names: Sequence[str], lefts: Sequence[dict[str, float]]) -> float:
-    """D that either of a pair leaves of the other, the smaller one."""
-    first, second = names
-    return min(lefts[0].get(second, math.inf), lefts[1].get(first, math.inf))
+    """D that any of several leaves of another, the smallest one."""
+    return min(
+        left.get(other, math.inf)
+        for name, left in zip(names, lefts, strict=True)
+        for other in names
+        if other != name
+    )
 
 
 def _drawn(rng: np.random.Generator, case: Case, healthy: Measurement) -> tuple[str, ...]:
@@ -313,6 +389,17 @@ def _drawn(rng: np.random.Generator, case: Case, healthy: Measurement) -> tuple[
         "unknown_test": [(name,) for name in shows if name in TEST_UNKNOWN],
         "ambiguous": [(name,) for name in twins(arm)],
     }
+    if case.kind == "several":
+        wanted = rng.choice(_SEVERAL)
+        found: list[str] = []
+        for name in rng.permutation(there):
+            apart = all(
+                pair in lists["pair"] or pair[::-1] in lists["pair"]
+                for pair in ((str(name), other) for other in found)
+            )
+            if apart and name.partition(":")[0] not in [one.partition(":")[0] for one in found]:
+                found.append(str(name))
+        return tuple(found[:wanted])
     if case.kind not in lists:
         raise GalenError(f"{case.kind!r} is no kind of case; there are {', '.join(KINDS)}")
     return lists[case.kind][rng.integers(len(lists[case.kind]))]

@@ -33,12 +33,14 @@ def diagnosed(recording: Path) -> dict[str, Any]:
     from galen_diagnosis.inference.diagnosing import diagnose_recording
     from galen_diagnosis.observation.observation import Observation
     from galen_diagnosis.observation.recording import read_recording
-    from galen_diagnosis.observation.specification import CALIBRATED
+    from galen_diagnosis.observation.specification import CALIBRATED, SPECIFICATION_FILE
 
     from galen_validation.blind.baselines import answers
 
     started_s = time.monotonic()
-    read = read_recording(recording, specification=[CALIBRATED])  # as the arms are drawn
+    # Those without a file are of carefully calibrated arms.
+    given = () if (recording / SPECIFICATION_FILE).exists() else (CALIBRATED,)
+    read = read_recording(recording, specification=given)
     found = diagnose_recording(read).answer.to_json()
     own = {**found, "seconds": time.monotonic() - started_s}
     return {**answers(Observation(read)), PROGRAM: own}

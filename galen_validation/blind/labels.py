@@ -27,8 +27,15 @@ from galen_model.json_fields import (
 from galen_sim_driver.effects.registry import identity_of
 
 LABELS, SEAL = "labels.json", "labels.sha256"
-LabelKind = Literal["single", "none", "unknown", "pair", "ambiguous"]
-_EFFECTS = {"single": 1, "pair": 2, "ambiguous": 1, NONE: 0, UNKNOWN: 1}
+LabelKind = Literal["single", "none", "unknown", "pair", "several", "ambiguous"]
+_EFFECTS = {
+    "single": (1,),
+    "pair": (2,),
+    "several": (3, 4, 5),
+    "ambiguous": (1,),
+    NONE: (0,),
+    UNKNOWN: (1,),
+}
 
 
 @dataclass(frozen=True)
@@ -97,7 +104,7 @@ def label_from_json(content: Any) -> Label:
     found |= {"effects": tuple(effects), "acceptable": tuple(texts(x, "acceptable") for x in same)}
     try:
         label = Label(**found)
-        if len(label.names) != _EFFECTS[label.kind] or len(same) not in (0, len(effects)):
+        if len(label.names) not in _EFFECTS[label.kind] or len(same) not in (0, len(effects)):
             raise FieldError(f"{label.recording}: {len(effects)} effects don't make a {label.kind}")
     except (TypeError, KeyError) as error:
         raise FieldError(f"a label can't be read: {error}") from error

@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from galen_bags.arrays.arm_recording import JOINT_STATE_TYPE, POSE_TYPE, WRENCH_TYPE
@@ -56,18 +57,65 @@ TOLERANCES: Mapping[str, tuple[int, float]] = {
     # A sample is stamped when it is read; a camera's exposure and way.
     "wrench_late_s": (1, 0.3e-3),
     "tracker_late_s": (1, 1.0e-3),
+    # Of N to N and N.m to N.m; between them with a lever of 0.1 m.
+    "crosstalk": (30, 0.0),
 }
-"""How many differences a healthy Galen has of each kind, and their standard deviation."""
+"""How many differences a calibrated Galen has of each kind, and their standard deviation."""
 
+DATA_SHEETS: Mapping[str, float] = {
+    # Halves of limits: gains of 0.4 % of a sensor's full scale (ATI: 0.5 to 1.5 %), zeros of
+    # 1 mrad (UR and Franka arms after their factory's calibration: 0.5 to 2.5), a tool that was
+    # weighed to a gram, with its centre from a drawing.
+    "sensor_gain": 2e-3, "crosstalk": 1e-3, "zero_rad": 0.5e-3, "axis_rad": 0.3e-3,
+    "level_rad": 0.5e-3, "transmission": 0.2e-3, "stiffness": 0.02, "mass_kg": 0.5e-3,
+    "moment_kg_m": 20e-6, "wrench_late_s": 0.5e-3, "tracker_late_s": 2.0e-3,
+}  # fmt: skip
+"""Standard deviations of an arm that is as its data sheets say, where they are others."""
+
+_NOT_DRAWN: Mapping[str, Any] = {
+    "loose_tool": 1e-4, "cable_drag": 0.03, "backlash": 5e-5, "joint_eccentricity": 3e-4,
+    "sensor_nonlinearity": 1e-4, "sensor_hysteresis": 1e-3, "deflection_hysteresis": 5e-3,
+    "deflection_creep": 0.01,
+    "sensor_drift": {"force_N_per_hour": 0.3, "torque_Nm_per_hour": 0.01},
+}  # fmt: skip
+"""Limits of effects that these arms haven't at all."""
+
+
+def _stds(usual: bool) -> dict[str, float]:
+    calibrated = {name: size for name, (_, size) in TOLERANCES.items()}
+    return {**calibrated, **(DATA_SHEETS if usual else {})}
+
+
+def limits(session: Session) -> dict[str, Any]:
+    """Return the specification's limits of arms by DATA_SHEETS: two standard deviations."""
+    std = _stds(True)
+    of = {
+        "axis_gain": "sensor_gain", "crosstalk": "crosstalk", "joint_zero_offset": "zero_rad",
+        "joint_axis_misalignment": "axis_rad", "sensor_mount_rotation": "axis_rad",
+        "base_inclination": "level_rad", "joint_gain": "transmission",
+        "joint_compliance": "stiffness", "tool_mass_error": "mass_kg",
+        "wrench_delay": "wrench_late_s", "tracker_delay": "tracker_late_s",
+        "tracker_scale": "tracker_scale",
+    }  # fmt: skip
+    drawn = {effect: 2.0 * std[kind] for effect, kind in of.items()}
+    # Of the centre, of which the file's moment has an error.
+    drawn["tool_com_error"] = 2.0 * std["moment_kg_m"] / session.tool.mass_kg
+    return drawn | dict(_NOT_DRAWN)
+
+
+CROSSTALK_LEVER_M = 0.1
 _POSES, _SAMPLES_A_POSE = 56, 100
 _HISTORY_N = 11.0
 
 
-def draw_tolerance(seed: int, scale: float = 1.0, *, arm: Arm) -> dict[str, Array]:
+def draw_tolerance(
+    seed: int, scale: float = 1.0, *, arm: Arm, usual: bool = False
+) -> dict[str, Array]:
     """Draw a healthy arm's differences, cut at two sigma; scale 0 is the nominal one.
 
-    Zeros, axes and gears are as many as the arm's angles, lengths as the links that they move;
-    of more links than two each has the less, so that the tip is as far off.
+    usual: of an arm that is as its data sheets say. Zeros, axes and gears are as many as the arm's
+    angles, lengths as the links that they move; of more links than two each has the less, so that
+    the tip is as far off.
     """
     rng = np.random.default_rng([seed, 2])
     angles = len(arm.turning)
@@ -75,9 +123,10 @@ def draw_tolerance(seed: int, scale: float = 1.0, *, arm: Arm) -> dict[str, Arra
         "length_m": 3 * angles, "axis_rad": 2 * angles - 1, "zero_rad": angles,
         "stiffness": len(arm.stiffness), "transmission": angles,
     }  # fmt: skip
+    std = _stds(usual)
     drawn = {
-        name: scale * size * np.clip(rng.standard_normal(counts.get(name, count)), -2.0, 2.0)
-        for name, (count, size) in TOLERANCES.items()
+        name: scale * std[name] * np.clip(rng.standard_normal(counts.get(name, count)), -2.0, 2.0)
+        for name, (count, _) in TOLERANCES.items()
     }
     drawn["length_m"] *= math.sqrt(2.0 / angles)
     return drawn
@@ -136,6 +185,10 @@ class Measurement:
         self.tolerance = tolerance
         self.causes = tuple(causes)
         self.plant = healthy_plant(session, tolerance)
+        self._crosstalk = np.zeros((6, 6))
+        self._crosstalk[~np.eye(6, dtype=bool)] = tolerance["crosstalk"]
+        self._crosstalk[3:, :3] *= CROSSTALK_LEVER_M
+        self._crosstalk[:3, 3:] /= CROSSTALK_LEVER_M
         for cause in causes:
             if cause.plant is not None:
                 self.plant = cause.plant(cause.size, self.plant)
@@ -241,7 +294,7 @@ class Measurement:
         return Moment(bag, then, then + self.session.takes[bag].start_s)
 
     def _sensed(self, at: Moment, total: Array) -> Array:
-        total = total * (1.0 + self.tolerance["sensor_gain"])
+        total = total @ (np.diag(1.0 + self.tolerance["sensor_gain"]) + self._crosstalk).T
         for cause in self.causes:
             if cause.sense is not None:
                 total = cause.sense(cause.size, at, total)

@@ -224,7 +224,10 @@ def score(cases: Sequence[Answered]) -> Score:
 
 def _rates(cases: Sequence[Answered]) -> dict[str, Rate]:
     """Rates that are counts of one property of some of the recordings."""
-    of = {kind: [c for c in cases if c.label.kind == kind] for kind in ("single", "pair", UNKNOWN)}
+    of = {
+        kind: [c for c in cases if c.label.kind == kind]
+        for kind in ("single", "pair", "several", UNKNOWN)
+    }
     twins = [c for c in cases if c.label.kind in ("single", "ambiguous")]
     twins = [c for c in twins if c.label.sure and len(c.label.accepted - {NONE}) > 1]
     return {
@@ -236,6 +239,11 @@ def _rates(cases: Sequence[Answered]) -> dict[str, Rate]:
         "pairs_named": rate(c.all_named for c in of["pair"]),
         "pairs_whole": rate(
             c.all_named and c.said is not None and len(c.said.causes) == 2 for c in of["pair"]
+        ),
+        "several_named": rate(c.all_named for c in of["several"]),
+        "several_whole": rate(
+            c.all_named and c.said is not None and len(c.said.causes) == len(c.label.names)
+            for c in of["several"]
         ),
         "twins_named": rate(
             c.said is not None and c.label.accepted - {NONE} <= c.said.named for c in twins

@@ -59,7 +59,17 @@ def six_axis() -> Arm:
     return replace(arm, joints=tuple(replace(joint, home=home) for joint, home in joints))
 
 
-ARMS: Mapping[str, Callable[[], Arm]] = {"galen": lambda: GALEN, "six_axis": six_axis}
+ARMS: Mapping[str, Callable[[], Arm]] = {
+    "galen": lambda: GALEN,
+    "six_axis": six_axis,
+    "galen_usual": lambda: GALEN,
+    "six_axis_usual": six_axis,
+}
+"""Carefully calibrated ones, and `usual` ones that are as data sheets say."""
+
+USUAL = "_usual"
+_HEAVIER = 4.0
+"""Tools of a usual serial arm over the surgeon's: 0.2 to 0.8 kg."""
 
 
 class Space(NamedTuple):
@@ -202,10 +212,14 @@ class Session:
     duration_s: float
 
 
-def draw_session(seed: int, bags: tuple[str, ...] = BAGS, *, arm: Arm) -> Session:
-    """Draw the session of a seed with an arm."""
+def draw_session(
+    seed: int, bags: tuple[str, ...] = BAGS, *, arm: Arm, usual: bool = False
+) -> Session:
+    """Draw the session of a seed with an arm; usual: one that is as data sheets say."""
     rng = np.random.default_rng([seed, 1])
     tool = TOOLS[rng.integers(len(TOOLS))]
+    if usual and arm.delta is None:
+        tool = replace(tool, mass_kg=_HEAVIER * tool.mass_kg)
     makers = {"sweep": _sweep, "motion": _motion, "push": _push}
     takes: dict[str, Take] = {}
     start_s = 0.0

@@ -18,6 +18,7 @@ from galen_validation.blind.case import STRENGTHS, Truth
 from galen_validation.blind.causes import EFFECTS
 from galen_validation.blind.diagnosing import PROGRAM
 from galen_validation.blind.labels import open_labels
+from galen_validation.blind.session import ARMS
 from galen_validation.blind.unlisted import CALIBRATION_UNKNOWN, TEST_UNKNOWN
 
 PROBE = (sys.executable, str(Path(__file__).with_name("blind_probe.py")))
@@ -26,7 +27,7 @@ SHORT = {"per_class": 3, "healthy": 60, "short": True}
 
 def fake_generate(case, directory):
     """A recording of one small file; what the probe is to answer stands in it."""
-    drawn = {"none": (), "pair": EFFECTS[:2]}.get(case.kind, ("hail",))
+    drawn = {"none": (), "pair": EFFECTS[:2], "several": EFFECTS[:3]}.get(case.kind, ("hail",))
     effects = case.effects or drawn
     reads = {"none": "none", "unknown_test": "unknown"}.get(case.kind, (*effects, "none")[0])
     if effects == ("bias_step",):
@@ -149,9 +150,10 @@ def test_plans():
     asked = {case.effects[0] for case in cases if case.kind == "unknown_test"}
     assert asked == set(TEST_UNKNOWN) and not asked & set(CALIBRATION_UNKNOWN)
     assert len({case.seed for case in cases}) == len(plan)
-    of_six = [case.kind for case in cases if case.arm == "six_axis"]
-    assert 0.2 < len(of_six) / len(plan) < 0.26
-    assert set(of_six) >= {"single", "pair", "none", "unknown_test"}
+    for arm in ARMS:
+        own = [case.kind for case in cases if case.arm == arm]
+        assert 0.2 < len(own) / len(plan) < 0.3
+        assert set(own) >= {"single", "pair", "several", "none", "unknown_test"}
     assert {c.kind for c in short_plan(1).values()} == {"none", "single", "pair", "unknown_test"}
 
 
