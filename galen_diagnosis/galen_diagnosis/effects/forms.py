@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from galen_model.arrays import Array
 from galen_model.estimation.evidence import Background, Evidence, evidence
+from galen_sim_driver.effects.effect import Effect
 
 from galen_diagnosis.effects.candidates import Candidate
 from galen_diagnosis.effects.diagnosed_effect import Sizes
@@ -57,6 +58,11 @@ class Tolerances(NamedTuple):
     def size(self) -> int:
         """How many numbers."""
         return self.columns.shape[1]
+
+    def effects(self, numbers: Array) -> list[Effect]:
+        """Return the effects of deviations (q,)."""
+        made = [one.at(one.start + numbers[place]) for one, place in self.each]
+        return [one for one in made if not one.changes_nothing]
 
 
 class Forms:

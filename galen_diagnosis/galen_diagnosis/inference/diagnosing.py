@@ -119,7 +119,9 @@ def explore(recording: DiagnosticRecording, progress: Progress | None = None) ->
     behind = behind.beside(first.rough, 1.0)
     varies = discrepancies.varying(behind, best, first.shown)
     remaining, floor = remaining_energy(observation.rows, behind.left(best.raw_rows))
-    fast = oscillation(observation.streams_with(best.effects, best.unknowns))
+    tolerances = found.forms.tolerances
+    healthy = tolerances.effects(best.background[len(best.background) - tolerances.size :])
+    fast = oscillation(observation.streams_with((*best.effects, *healthy), best.unknowns))
     swing = 0.0
     if fast is not None and _swings(best.names):
         swing = max(fast.log_bayes, 0.0)
