@@ -355,12 +355,9 @@ def _item(
     values = part.sums(mean)
     turn = np.zeros((len(values), len(mean)))
     turn[part.which, part.places] = 1.0
-    numbers = drawn(values, turn @ covariance @ turn.T, generator)
-    named = parameters_of(observation, one, values, numbers)
+    spread = turn @ covariance @ turn.T
+    named, limits, chance = _beside_limits(observation, one, values, spread, generator)
     joint = named.pop("joint", None)
-    specification = observation.recording.specification
-    limits = limits_of(specification, one, named)
-    chance = beyond_chance(observation, one, numbers, limits)
     name = one.effect.partition(":")[0]
     label = f"{name}:{joint}" if joint else name
     return BudgetItem(label, share, named, limits, chance, tuple(dict.fromkeys(equivalent)))
@@ -371,11 +368,23 @@ def lies_within(observation: Observation, one: Candidate, values: Array, spread:
 
     One without a limit is there, and never within.
     """
-    numbers = drawn(values, spread, np.random.default_rng(_SEED))
+    generator = np.random.default_rng(_SEED)
+    *_, chance = _beside_limits(observation, one, values, spread, generator)
+    return chance is not None and chance < 0.5
+
+
+def _beside_limits(
+    observation: Observation,
+    one: Candidate,
+    values: Array,
+    spread: Array,
+    generator: np.random.Generator,
+) -> tuple[dict[str, Any], dict[str, Any], float | None]:
+    """Return the contract's parameters of a fit, their limits and the chance to lie beyond."""
+    numbers = drawn(values, spread, generator)
     named = parameters_of(observation, one, values, numbers)
     limits = limits_of(observation.recording.specification, one, named)
-    chance = beyond_chance(observation, one, numbers, limits)
-    return chance is not None and chance < 0.5
+    return named, limits, beyond_chance(observation, one, numbers, limits)
 
 
 def limits_of(

@@ -43,6 +43,18 @@ _DIRECTIONS = 20.0
 _ACTS = 0.1
 
 
+def missed(hypothesis: Hypothesis, least: float = 0.0) -> float:
+    """Return the energy that models miss where no field m shows it: a part of what they explain.
+
+    least: of each, as a part of its amplitude.
+    """
+    energies = zip(hypothesis.parts, hypothesis.energies_explained(), strict=True)
+    return sum(
+        max(_UNSEEN * record_of(part.effect).kappa, least) ** 2 * energy
+        for part, energy in energies
+    )
+
+
 def answered(hypothesis: Hypothesis, left: float) -> float:
     """Return what a hypothesis has to answer for of the structure that it leaves, an energy.
 
@@ -50,12 +62,7 @@ def answered(hypothesis: Hypothesis, left: float) -> float:
     arm's own tolerances where it moves otherwise. Of an effect's energy E a part
     (_UNSEEN kappa)^2 E, of any effect _LEAST^2 E, spread over some directions, is nothing unlisted.
     """
-    energies = zip(hypothesis.parts, hypothesis.energies_explained(), strict=True)
-    missed = sum(
-        max(_UNSEEN * record_of(part.effect).kappa, _LEAST) ** 2 * energy
-        for part, energy in energies
-    )
-    return left / (1.0 + missed / _DIRECTIONS)
+    return left / (1.0 + missed(hypothesis, _LEAST) / _DIRECTIONS)
 
 
 def gain_and_cost(behind: Background, off: csc_array, rows: Array) -> tuple[float, float]:
@@ -75,11 +82,11 @@ def looks_like(others: Sequence[tuple[str, Array]], signature: Array) -> float:
     others: names and signatures (N,) of what is there; signature (N,): of another effect beside
     them. As `answered`, but only where the others act.
     """
-    missed = sum((_UNSEEN * record_of(name).kappa) ** 2 * one**2 for name, one in others)
-    missed = np.broadcast_to(missed, signature.shape)
-    acts = missed > _ACTS * np.mean(missed)
+    unseen = sum((_UNSEEN * record_of(name).kappa) ** 2 * one**2 for name, one in others)
+    unseen = np.broadcast_to(unseen, signature.shape)
+    acts = unseen > _ACTS * np.mean(unseen)
     share = float(np.sum(signature[acts] ** 2) / max(np.sum(signature**2), 1e-300))
-    size = float(np.sum(missed)) / _DIRECTIONS
+    size = float(np.sum(unseen)) / _DIRECTIONS
     return share * size / (1.0 + size)
 
 

@@ -2,7 +2,8 @@
 
 Every form of every effect is judged by its linear evidence first; the likeliest are fitted on the
 simulator (`refine.py`). To the best of them every other effect is added, again linearly first, and
-the best pairs are fitted; sets of more grow from the best in the same way.
+the best pairs are fitted; sets of more grow from the best in the same way, as long as what is added
+explains more than the models of those before it may miss.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from scipy.special import logsumexp
 from galen_diagnosis.effects.candidates import Candidate
 from galen_diagnosis.effects.forms import Forms
 from galen_diagnosis.effects.registry import record_of
+from galen_diagnosis.inference.discrepancy import missed
 from galen_diagnosis.inference.refine import Hypothesis, nothing, refine
 from galen_diagnosis.observation.observation import Observation
 
@@ -74,13 +76,14 @@ def search(observation: Observation, progress: Progress | None = None) -> Found:
     seeds = [one for one in seeds if one.log_bayes > _BEHIND * seeds[0].log_bayes]
     pairs = _grown(observation, forms, seeds, singles, _PAIRS, none.cost)
     hypotheses, larger = [none, *singles, *pairs], pairs
-    top = max((single.log_bayes for single in singles), default=0.0)
+    best = max((none, *singles), key=lambda one: one.log_bayes)
     for count in range(3, _MOST_TOGETHER + 1):
-        better = _best([one for one in larger if one.log_bayes > top + _WORTH], 1)
+        worth = best.log_bayes + max(_WORTH, 0.5 * missed(best))
+        better = _best([one for one in larger if one.log_bayes > worth], 1)
         if not better:
             break
         say(f"{count} together", 0.85)
-        top = better[0].log_bayes
+        best = better[0]
         larger = _grown(observation, forms, better, singles, _MORE, none.cost)
         hypotheses += larger
     hypotheses += _pruned(observation, forms, hypotheses, none.cost)
