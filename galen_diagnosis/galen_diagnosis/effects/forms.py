@@ -47,20 +47,23 @@ class Tolerances(NamedTuple):
     """A healthy arm's own deviations: numbers with a prior of mean zero.
 
     each: forms, and where their numbers are among all; columns (N, q): how the rows change with
-    them; precision (q, q): of the prior.
+    them; precision (q, q): of the prior; mixed (q, q): them by the numbers of the background's
+    columns.
     """
 
     each: tuple[tuple[Candidate, slice], ...]
     columns: Array
     precision: Array
+    mixed: Array
 
     @property
     def size(self) -> int:
         """How many numbers."""
         return self.columns.shape[1]
 
-    def effects(self, numbers: Array) -> list[Effect]:
-        """Return the effects of deviations (q,)."""
+    def effects(self, background: Array) -> list[Effect]:
+        """Return the effects of deviations, the last numbers of a fitted background (n,)."""
+        numbers = self.mixed @ background[len(background) - self.size :]
         made = [one.at(one.start + numbers[place]) for one, place in self.each]
         return [one for one in made if not one.changes_nothing]
 
@@ -166,15 +169,17 @@ def background(
             count += values.shape[1]
     own = np.concatenate([np.zeros((len(places), 0)), *parts[2:]], axis=1)
     covariance = np.diag(np.concatenate([np.zeros(0), *std[2:]]) ** 2)
+    mixed = np.eye(count)
     if observation.recording.earlier is None:
         behind = Background(np.concatenate(parts, axis=1), np.concatenate(std))
     else:
         covariance += _known_before(observation.recording.earlier, each, count)
-        mixed = own @ np.linalg.cholesky(covariance)  # numbers of unit variance
+        mixed = np.linalg.cholesky(covariance)  # of numbers of unit variance
         behind = Background(
-            np.concatenate([*parts[:2], mixed], axis=1), np.concatenate([*std[:2], np.ones(count)])
+            np.concatenate([*parts[:2], own @ mixed], axis=1),
+            np.concatenate([*std[:2], np.ones(count)]),
         )
-    return behind, Tolerances(tuple(each), own, np.linalg.inv(covariance))
+    return behind, Tolerances(tuple(each), own, np.linalg.inv(covariance), mixed)
 
 
 def _known_before(earlier: Earlier, each: Sequence[tuple[Candidate, slice]], count: int) -> Array:

@@ -119,8 +119,7 @@ def explore(recording: DiagnosticRecording, progress: Progress | None = None) ->
     behind = behind.beside(first.rough, 1.0)
     varies = discrepancies.varying(behind, best, first.shown)
     remaining, floor = remaining_energy(observation.rows, behind.left(best.raw_rows))
-    tolerances = found.forms.tolerances
-    healthy = tolerances.effects(best.background[len(best.background) - tolerances.size :])
+    healthy = found.forms.tolerances.effects(best.background)
     fast = oscillation(observation.streams_with((*best.effects, *healthy), best.unknowns))
     swing = 0.0
     if fast is not None and _swings(best.names):
