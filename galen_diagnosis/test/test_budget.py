@@ -13,7 +13,7 @@ from galen_diagnosis.inference.budget import budget
 from galen_diagnosis.inference.diagnosing import diagnose_recording
 from galen_diagnosis.inference.refine import nothing
 from galen_diagnosis.observation.observation import Observation
-from galen_diagnosis.observation.recording import read_recording
+from galen_diagnosis.observation.recording import Earlier, read_recording
 from galen_diagnosis.simulated_recording import make_recording
 from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
@@ -69,6 +69,24 @@ def test_the_whole_gap_is_a_sum_of_shares_and_parts_are_what_was_put_in(forms):
     for got, put in zip(gains.parameters["gain"][:3], GAINS[:3], strict=True):
         assert got.low - 6e-4 < put < got.high + 6e-4
     assert gains.standing == "within" and gains.limits["gain"] == [0.02] * 6
+
+
+@pytest.mark.parametrize("compared", [False, True])
+def test_healthy_deviations_become_effects_that_change_what_their_columns_do(forms, compared):
+    """Also since a reference, where other numbers than the deviations' own are fitted."""
+    if compared:
+        recording, tolerances = forms._observation.recording, forms.tolerances
+        keys = tuple(one.key for one, at in tolerances.each for _ in range(at.start, at.stop))
+        known = 0.1 * np.linalg.inv(tolerances.precision)
+        earlier = Earlier(("before",), (), keys, known)
+        forms = Forms(Observation(replace(recording, earlier=earlier)))
+    observation, behind, tolerances = forms._observation, forms.behind, forms.tolerances
+    generator = np.random.default_rng(2)
+    fitted = 0.5 * generator.standard_normal(tolerances.size) * behind.prior_std[-tolerances.size :]
+    background = np.concatenate([np.ones(behind.columns.shape[1] - tolerances.size), fitted])
+    change = observation.change(tolerances.effects(background))
+    expected = behind.columns[:, -tolerances.size :] @ fitted
+    assert np.linalg.norm(change - expected) < 0.02 * np.linalg.norm(expected)
 
 
 def test_no_gap_has_no_budget(forms, tmp_path):
