@@ -18,7 +18,7 @@ from galen_ros.goal.client import result_to_dict
 from galen_ros.node.testing import Harness
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.node import Node
-from test_calibration_node import FakeDriver, World
+from test_calibration_node import FakeDriver, World, plain_fit  # noqa: F401
 
 from galen_msgs.action import CalibrateTool
 
@@ -26,6 +26,9 @@ NODE_PARAMETERS = {
     "itersT": 3, "itersR": 3, "settle_s": 0.1, "average_s": 0.3,
     "max_angle_velocity_rad_s": 4.0, "max_angle_acceleration_rad_s2": 40.0,
 }  # fmt: skip
+
+
+MANY = ("--iters-t", "6", "--iters-r", "6")  # so that it still runs when something ends it
 
 
 class Process:
@@ -66,7 +69,7 @@ def calibrate(harness, *arguments, **options):
 
 
 @pytest.fixture
-def world(tmp_path):
+def world(tmp_path, plain_fit):  # noqa: F811
     with Harness() as harness:
         yield World(harness, tmp_path / "tools")
 
@@ -105,7 +108,7 @@ def test_enter_pressed_twice_answers_one_question(world):
 
 
 def test_ctrl_c_cancels_and_waits_for_the_stop(world):
-    with calibrate(world.harness, "pointer") as client:
+    with calibrate(world.harness, "pointer", *MANY) as client:
         world.harness.wait_for(
             lambda: world.node._goal and world.node._goal.procedure.progress[0] >= 1,
             20.0,
@@ -124,7 +127,7 @@ def test_ctrl_c_cancels_and_waits_for_the_stop(world):
 
 def test_a_terminal_that_closes_cancels_and_the_arm_is_stopped(world):
     keyboard, terminal = pty.openpty()
-    with calibrate(world.harness, "pointer", stdin=terminal) as client:
+    with calibrate(world.harness, "pointer", *MANY, stdin=terminal) as client:
         world.harness.wait_for(
             lambda: world.node._goal and world.node._goal.procedure.progress[0] >= 1,
             20.0,
@@ -141,8 +144,7 @@ def test_a_terminal_that_closes_cancels_and_the_arm_is_stopped(world):
 
 
 def test_another_terminal_cancels_it(world):
-    many = ("--iters-t", "10", "--iters-r", "10")  # so that it still runs then
-    with calibrate(world.harness, "pointer", *many) as client:
+    with calibrate(world.harness, "pointer", *MANY) as client:
         world.harness.wait_for(
             lambda: world.node._goal and world.node._goal.procedure.progress[0] >= 1,
             20.0,

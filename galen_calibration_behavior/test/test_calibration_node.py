@@ -30,6 +30,7 @@ from galen_msgs.action import CalibrateTool, CheckTool
 from galen_msgs.srv import SetTool
 
 TICK_S = 0.005
+MANY_POSES = {"iters_t": 6, "iters_r": 6}  # for a goal that something ends
 
 
 class FakeDriver(Node):
@@ -105,12 +106,12 @@ class World:
         self.tools_dir = tools_dir
         values = {
             "tools_dir": str(tools_dir),
-            "itersT": 3,
+            "itersT": 2,
             "itersR": 3,
             "settle_s": 0.1,
             "average_s": 0.3,
-            "max_angle_velocity_rad_s": 4.0,
-            "max_angle_acceleration_rad_s2": 40.0,
+            "max_angle_velocity_rad_s": 5.0,
+            "max_angle_acceleration_rad_s2": 50.0,
             "silent_timeout_s": 1.0,
         } | changes
         self.driver = None
@@ -178,7 +179,13 @@ def quick_discovery(monkeypatch):
 
 
 @pytest.fixture
-def world(tmp_path):
+def plain_fit(monkeypatch):
+    """No models are compared, which takes a second."""
+    monkeypatch.setattr("galen_model.load.choice.MIN_POSES_TO_REJECT", 1000)
+
+
+@pytest.fixture
+def world(tmp_path, plain_fit):
     with Harness() as harness:
         yield World(harness, tmp_path / "tools")
 
@@ -187,8 +194,9 @@ def make(harness, tmp_path, **changes):
     return World(harness, tmp_path / "tools", **changes)
 
 
-def test_a_calibration_recovers_the_tool_and_writes_its_file(world):
-    status, result = world.result(world.send(tip_m=[0.15, 0.0, 0.05]))
+def test_a_calibration_recovers_the_tool_and_writes_its_file(world, monkeypatch):
+    monkeypatch.undo()  # models are compared
+    status, result = world.result(world.send(tip_m=[0.15, 0.0, 0.05], iters_t=3, iters_r=3))
     assert status == GoalStatus.STATUS_SUCCEEDED
     assert (result.error_code, result.error_msg) == (0, "")
     assert abs(result.mass_kg - 0.060) < 5 * result.mass_std_kg
@@ -216,7 +224,8 @@ def test_a_calibration_recovers_the_tool_and_writes_its_file(world):
     assert [f.done for f in poses] == list(range(1, 19))
 
 
-def test_a_sensor_that_drifts_is_calibrated_with_a_drifting_bias(world):
+def test_a_sensor_that_drifts_is_calibrated_with_a_drifting_bias(world, monkeypatch):
+    monkeypatch.undo()  # models are compared
     rate = 0.01 * np.array([1, 1, 1, 0.02, 0.02, 0.02])  # N/s, N.m/s: 0.1 N over a sweep
     world.driver.arm.touch = lambda arm: 1e-9 * arm.stamp_ns * rate
     status, result = world.result(world.send(iters_t=3, iters_r=4))
@@ -239,12 +248,12 @@ def test_nothing_is_written_where_it_ends_while_models_are_compared(world, monke
     monkeypatch.setattr("galen_calibration_behavior.ros.calibration_action.estimate", held)
     warmth = world.client_node.create_publisher(Temperature, "temperature", 10)
     world.client_node.create_timer(0.02, lambda: warmth.publish(Temperature(temperature=25.0)))
-    handle = world.send(iters_t=2, iters_r=4)
+    handle = world.send()
     world.harness.wait_for(lambda: compared, 20.0, "the comparison")
     told = "estimating: comparing models"
     world.harness.wait_for(lambda: world.feedback[-1].message == told, 5.0, "feedback meanwhile")
     (measurements, progress), *_ = compared
-    assert measurements.tool.temperature_c == pytest.approx([25.0] * 8)
+    assert measurements.tool.temperature_c == pytest.approx([25.0] * 6)
     progress("the next model")
     if canceled:
         world.cancel(handle)
@@ -259,7 +268,7 @@ def test_nothing_is_written_where_it_ends_while_models_are_compared(world, monke
 
 
 def test_a_second_calibration_keeps_the_tip_and_the_old_file(world):
-    world.result(world.send(tip_m=[0.15, 0.0, 0.05], iters_t=2, iters_r=4))
+    world.result(world.send(tip_m=[0.15, 0.0, 0.05]))
     first = (world.tools_dir / "pointer.json").read_text()
     status, result = world.result(world.send(one_sweep=True))
     assert status == GoalStatus.STATUS_SUCCEEDED, result.error_msg
@@ -272,7 +281,7 @@ def test_a_second_calibration_keeps_the_tip_and_the_old_file(world):
 def test_a_second_goal_of_either_action_is_rejected_with_the_reason_on_diagnostics(world):
     client = ActionClient(world.client_node, CheckTool, "check_tool")
     world.harness.wait_for(client.server_is_ready, 10.0, "the other action server")
-    first = world.send(iters_t=2, iters_r=4)
+    first = world.send()
     world.wait_for_pose(1)
     assert not world.send(tool="retractor").accepted
     check = world.harness.answer_of(
@@ -293,43 +302,29 @@ def test_a_second_goal_of_either_action_is_rejected_with_the_reason_on_diagnosti
     world.harness.call_in_executor(client.destroy)
 
 
-ZEROS = [0.0] * 5
-
-
-@pytest.mark.parametrize(
-    "points",
-    [
-        [
-            JointTrajectoryPoint(
-                positions=ZEROS,
-                velocities=ZEROS,
-                accelerations=ZEROS,
-                time_from_start=Duration(sec=1),
-            )
-        ],
-        [],
-    ],
-)
-def test_somebody_else_who_commands_the_arm_ends_it(world, points):
+def test_somebody_else_who_commands_the_arm_ends_it(world):
+    still = dict.fromkeys(("positions", "velocities", "accelerations"), [0.0] * 5)
     pendant = world.harness.add(lambda context: Node("teach_pendant", context=context))
     publisher = pendant.create_publisher(JointTrajectory, "joint_trajectory", 10)
-    handle = world.send()
-    world.wait_for_pose(1)
-    world.harness.wait_for(
-        lambda: publisher.get_subscription_count() >= 2, 10.0, "driver and node to be matched"
-    )
-    command = JointTrajectory(joint_names=list(GALEN.joint_names), points=points)
-    world.harness.call_in_executor(lambda: publisher.publish(command))
-    world.fails(handle, ErrorCode.BAD_INPUT, "another node commands the arm", "/teach_pendant")
-    assert not world.driver.arm.moving
-    status, result = world.result(world.send(iters_t=2, iters_r=4))
+    for points in ([JointTrajectoryPoint(**still, time_from_start=Duration(sec=1))], []):
+        world.feedback.clear()
+        handle = world.send(**MANY_POSES)
+        world.wait_for_pose(1)
+        world.harness.wait_for(
+            lambda: publisher.get_subscription_count() >= 2, 10.0, "driver and node to be matched"
+        )
+        command = JointTrajectory(joint_names=list(GALEN.joint_names), points=points)
+        world.harness.call_in_executor(lambda command=command: publisher.publish(command))
+        world.fails(handle, ErrorCode.BAD_INPUT, "another node commands the arm", "/teach_pendant")
+        assert not world.driver.arm.moving
+    status, result = world.result(world.send())
     assert status == GoalStatus.STATUS_SUCCEEDED, result.error_msg
 
 
 def test_a_cancel_sends_the_arm_to_where_it_brakes_then_no_points(world):
     heard = []
     world.client_node.create_subscription(JointTrajectory, "joint_trajectory", heard.append, 10)
-    handle = world.send()
+    handle = world.send(**MANY_POSES)
     world.wait_for_pose(1)
     world.cancel(handle)
     world.result(handle)
@@ -346,7 +341,7 @@ def test_a_cancel_sends_the_arm_to_where_it_brakes_then_no_points(world):
 
 
 def test_a_driver_that_goes_silent_ends_it_naming_the_topic(world):
-    handle = world.send()
+    handle = world.send(**MANY_POSES)
     world.wait_for_pose(1)
     world.driver.silent = {"wrench_raw"}
     world.fails(handle, ErrorCode.DRIVER_SILENT, "nothing on wrench_raw for 1.")
@@ -354,7 +349,7 @@ def test_a_driver_that_goes_silent_ends_it_naming_the_topic(world):
 
 
 def test_a_driver_that_comes_back_has_lost_the_zero(world):
-    handle = world.send()
+    handle = world.send(**MANY_POSES)
     world.wait_for_pose(1)
     # Both lookups of the publishers have to fall on either side of the restart.
     world.harness.wait_for(lambda: world.node._goal.exclusive._known, 5.0, "the first lookup")
@@ -372,8 +367,7 @@ def test_joints_of_a_gripper_come_beside_the_arms(world):
     gripper = world.harness.add(lambda context: Node("gripper", context=context))
     joints = gripper.create_publisher(JointState, "joint_states", STREAM)
     gripper.create_timer(0.02, lambda: joints.publish(JointState(name=["finger"], position=[0.1])))
-    handle = world.send(iters_t=3, iters_r=3)
-    _, result = world.result(handle)
+    _, result = world.result(world.send())
     assert result.error_code == ErrorCode.NONE, result.error_msg
 
 
@@ -451,7 +445,7 @@ def test_two_drivers_are_rejected(world):
     world.harness.add(
         lambda context: FakeDriver(context, without=("zero_ft_sensor", "attach_tool"))
     )
-    handle = world.send(iters_t=10, iters_r=10)
+    handle = world.send(**MANY_POSES)
     world.fails(
         handle,
         ErrorCode.BAD_INPUT,
@@ -462,7 +456,7 @@ def test_two_drivers_are_rejected(world):
 
 
 def test_a_bug_ends_the_goal_and_not_the_node(world, monkeypatch):
-    handle = world.send()
+    handle = world.send(**MANY_POSES)
     world.wait_for_pose(1)
 
     def bug(*_, **__):
@@ -473,7 +467,7 @@ def test_a_bug_ends_the_goal_and_not_the_node(world, monkeypatch):
     assert world.driver.stops == 1
     world.harness.call_in_executor(lambda: delattr(world.node._arm, "move"))
     monkeypatch.setattr("galen_calibration_behavior.ros.calibration_action.estimate", bug)
-    world.fails(world.send(iters_t=2, iters_r=4), ErrorCode.INTERNAL, "ZeroDivisionError: a bug")
+    world.fails(world.send(), ErrorCode.INTERNAL, "ZeroDivisionError: a bug")
     world.fails(world.send(tool="../drill"), ErrorCode.INVALID_NAME, "drill")
 
 
@@ -488,7 +482,7 @@ def test_joint_states_in_another_order_with_other_joints_are_fine(world):
 
     world.harness.call_in_executor(lambda: setattr(world.driver.arm, "step", shuffled))
     world.driver.names = ["tilt", "delta_z", "delta_x", "roll", "delta_y", "gripper"]
-    status, result = world.result(world.send(iters_t=2, iters_r=4))
+    status, result = world.result(world.send())
     assert status == GoalStatus.STATUS_SUCCEEDED, result.error_msg
 
 
