@@ -21,7 +21,19 @@ from galen_sim_driver.effects.load import InertialLoad, ToolMassError
 from galen_sim_driver.effects.registry import identities
 from galen_sim_driver.replay import Replay
 
+from galen_diagnosis import simulated_recording
+
 START_NS = 10**18
+
+
+@pytest.fixture(scope="module", autouse=True)
+def short():
+    """A motion of 20 s in place of 45, pushes at two positions in place of four."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(simulated_recording, "MOTION_S", 20.0)
+        positions = simulated_recording._PUSH_POSITIONS[:2]
+        patch.setattr(simulated_recording, "_PUSH_POSITIONS", positions)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -203,7 +215,7 @@ def test_inertial_forces_of_the_calibration_file_leave_noise_of_a_motion(acceler
     }.items():
         recording = read_recording(accelerated, **told)
         observation = Observation(replace(recording, bags={"motion": recording.bags["motion"]}))
-        # Of 10,000 rows the mean square is known to 1.5 %, and their noise to some percent.
+        # Of 4,000 rows the mean square is known to 2 %, and their noise to some percent.
         left[name] = np.mean(observation.residual(()) ** 2)
         assert ("inertial forces of 0.160 kg" in recording.nominal) == (name != "none")
     assert left["whole"] == pytest.approx(1.0, abs=0.1)
