@@ -32,6 +32,7 @@ JOINTS, WRENCH, TEXT, TEMPERATURE, TF = (
 )
 FORCES = "/force_torque_sensor_broadcaster/wrench"
 NS = 1_000_000_000
+pytestmark = pytest.mark.usefixtures("plain_fit")
 START = np.array([0.1, -1.2, 1.4, 0.2, 0.3, 0.0])
 
 
@@ -48,7 +49,7 @@ def temperature_bytes(stamp, degrees):
 def write_robot(
     folder,
     *,
-    poses=11,
+    poses=7,
     still_s=1.2,
     joints_topic="/joint_states",
     wrench_topics=(FORCES,),

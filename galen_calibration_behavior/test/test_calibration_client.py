@@ -18,7 +18,7 @@ from galen_ros.goal.client import result_to_dict
 from galen_ros.node.testing import Harness
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.node import Node
-from test_calibration_node import FakeDriver, World, plain_fit  # noqa: F401
+from test_calibration_node import FakeDriver, World
 
 from galen_msgs.action import CalibrateTool
 
@@ -69,7 +69,7 @@ def calibrate(harness, *arguments, **options):
 
 
 @pytest.fixture
-def world(tmp_path, plain_fit):  # noqa: F811
+def world(tmp_path, plain_fit):
     with Harness() as harness:
         yield World(harness, tmp_path / "tools")
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from calibration_tape import POINTER, Tape
 from galen_calibration_behavior.calibrate_from_bag import main, parse
 from galen_calibration_behavior.from_bag.loads import sample_time
 from galen_common.command import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_USAGE
@@ -38,11 +39,12 @@ def error_squared(estimated, true):
 
 @pytest.fixture(scope="module")
 def calibrated(tmp_path_factory):
-    """Each tool's file out of its sample recording, and beside it what was printed."""
+    """Each tool's file out of its sample recording, and what was printed: the retractor's JSON."""
     folder = tmp_path_factory.mktemp("tools")
     for tool in TOOLS:
+        as_json = ["--json", "--tip", "0.15", "0", "0.05"] if tool == "retractor" else []
         with redirect_stdout(io.StringIO()) as out:
-            main([tool, str(BAGS / f"{tool}_calibration"), "--tools-dir", str(folder)])
+            main([tool, str(BAGS / f"{tool}_calibration"), "--tools-dir", str(folder), *as_json])
         (folder / f"{tool}.txt").write_text(out.getvalue())
     return folder
 
@@ -73,23 +75,36 @@ def test_it_gives_the_file_that_the_live_calibration_wrote(calibrated, tool):
     assert offline.rmse == pytest.approx(live.rmse, rel=1e-6)
 
 
-def test_a_dry_run_writes_nothing_and_json_is_one_object(capsys, tmp_path):
-    tools = tmp_path / "tools"
-    code, out, error = run(
-        capsys, "pointer", POINTER_BAG, "--dry-run", "--json", "--tools-dir", str(tools),
-        "--tip", "0.15", "0", "0.05",
-    )  # fmt: skip
-    assert (code, error) == (0, "")
-    assert not tools.exists()
-    result = json.loads(out)
+def test_json_is_one_object(calibrated):
+    result = json.loads((calibrated / "retractor.txt").read_text())
     assert result["error_code"] == 0
-    assert result["file"] == ""
-    assert result["mass_kg"] == pytest.approx(0.060, abs=5 * result["mass_std_kg"])
+    assert result["file"] == str(calibrated / "retractor.json")
+    true = TOOLS["retractor"].load
+    assert result["mass_kg"] == pytest.approx(true.mass_kg, abs=5 * result["mass_std_kg"])
     assert result["poses_used"] == 56
     assert 95.0 < result["tool_on_s"][0] < result["tool_on_s"][1] < 110.0
     assert result["next_border_worse_sigmas"] > 300.0
     (warning,) = result["warnings"]  # the recording's order is a serpentine
     assert "sweep without the tool and sweep with the tool: in the order of these poses" in warning
+
+
+@pytest.fixture
+def tape(monkeypatch, plain_fit):
+    """A short recording in place of any bag, with no models compared."""
+    recording = Tape().calibration(POINTER).recording()
+    read = "galen_calibration_behavior.from_bag.loads.read_arm"
+    monkeypatch.setattr(read, lambda *_, **_options: recording)
+
+
+@pytest.mark.usefixtures("tape")
+def test_a_dry_run_writes_nothing(capsys, tmp_path):
+    tools = tmp_path / "tools"
+    code, out, error = run(
+        capsys, "pointer", "bag", "--dry-run", "--json", "--tools-dir", str(tools)
+    )
+    assert (code, error) == (0, "")
+    assert not tools.exists()
+    assert json.loads(out)["file"] == ""
 
 
 def test_the_table_is_the_live_one_s(calibrated):
@@ -102,6 +117,7 @@ def test_the_table_is_the_live_one_s(calibrated):
     assert out.rstrip().endswith(f"written: {calibrated / 'pointer.html'}")
 
 
+@pytest.mark.usefixtures("plain_fit")
 def test_a_bag_that_was_cut_off_is_calibrated_as_far_as_it_goes_and_says_so(capsys, tmp_path):
     source = next((BAGS / "pointer_calibration").glob("*.mcap"))
     cut = tmp_path / "cut.mcap"
@@ -116,9 +132,10 @@ def test_a_bag_that_was_cut_off_is_calibrated_as_far_as_it_goes_and_says_so(caps
     assert (tmp_path / "tools" / "pointer.json").exists()
 
 
+@pytest.mark.usefixtures("tape")
 def test_a_wrong_set_up_is_named_and_nothing_is_written_unless_it_is_said(capsys, tmp_path):
-    """The sample's arm stands upright; told that it hangs, the load that fits is negative."""
-    hangs = ("pointer", POINTER_BAG, "--gravity", "0", "0", "9.80665", "--tools-dir", str(tmp_path))
+    """The arm stands upright; told that it hangs, the load that fits is negative."""
+    hangs = ("pointer", "bag", "--gravity", "0", "0", "9.80665", "--tools-dir", str(tmp_path))
     code, out, error = run(capsys, *hangs)
     assert (code, out, list(tmp_path.iterdir())) == (EXIT_FAILED, "", [])
     assert "the load that fits has the mass -160 g" in error.lower()
@@ -131,20 +148,7 @@ def test_a_wrong_set_up_is_named_and_nothing_is_written_unless_it_is_said(capsys
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ([POINTER_BAG, "--one-sweep"], "the load is another from"),
-        ([str(BAGS / "free_motion")], "still pose"),
-        ([POINTER_BAG, "--joint-names", "a,b,c,d,e"], "joint"),
-        ([POINTER_BAG, "--wrench-raw", "ft/wrench"], "/wrench_raw"),
-        ([str(BAGS / "nowhere")], "nowhere"),
-        ([POINTER_BAG, "-p", "min_samples:=400"], "only 101 samples"),
-    ],
-)
-def test_what_gives_no_file_is_said_in_one_line_and_leaves_nothing(
-    capsys, tmp_path, arguments, words
-):
+def gives_no_file(capsys, tmp_path, arguments, words):
     code, out, error = run(capsys, "pointer", *arguments, "--tools-dir", str(tmp_path))
     assert (code, out) == (EXIT_FAILED, "")
     assert error.startswith("calibrate_from_bag: ")
@@ -153,17 +157,45 @@ def test_what_gives_no_file_is_said_in_one_line_and_leaves_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([str(BAGS / "free_motion")], "still pose"),
+        ([POINTER_BAG, "--joint-names", "a,b,c,d,e"], "joint"),
+        ([POINTER_BAG, "--wrench-raw", "ft/wrench"], "/wrench_raw"),
+        ([str(BAGS / "nowhere")], "nowhere"),
+    ],
+)
+def test_what_gives_no_file_is_said_in_one_line_and_leaves_nothing(
+    capsys, tmp_path, arguments, words
+):
+    gives_no_file(capsys, tmp_path, arguments, words)
+
+
+@pytest.mark.usefixtures("tape")
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["bag", "--one-sweep"], "the load is another from"),
+        (["bag", "-p", "min_samples:=400"], "only 51 samples"),
+    ],
+)
+def test_nor_does_what_is_wrong_with_its_poses(capsys, tmp_path, arguments, words):
+    gives_no_file(capsys, tmp_path, arguments, words)
+
+
+@pytest.mark.usefixtures("tape")
 def test_a_newer_calibration_is_replaced_only_if_asked(capsys, tmp_path, calibrated):
     old = json.loads((calibrated / "pointer.json").read_text())
     now = datetime.now(UTC).isoformat(timespec="seconds")
     file = tmp_path / "pointer.json"
     file.write_text(json.dumps(old | {"calibrated_at": now}))
     before = file.read_bytes()
-    arguments = ["pointer", POINTER_BAG, "--tools-dir", str(tmp_path), "--tool-on-at-s", "103"]
+    arguments = ["pointer", "bag", "--tools-dir", str(tmp_path), "--tool-on-at-s", "23.5"]
     code, out, error = run(capsys, *arguments)
     assert (code, out, file.read_bytes()) == (EXIT_FAILED, "", before)
     assert f"{file}: not replaced: calibrated {now} (just now)" in error
-    assert "2026-03-02T09:03:1" in error and "days ago" in error and "--replace-newer" in error
+    assert "2023-11-14T22:1" in error and "days ago" in error and "--replace-newer" in error
     code, _, error = run(capsys, *arguments, "--replace-newer")
     assert (code, error) == (0, "")
     # The recording that gave the file is not older than it.

@@ -179,12 +179,6 @@ def quick_discovery(monkeypatch):
 
 
 @pytest.fixture
-def plain_fit(monkeypatch):
-    """No models are compared, which takes a second."""
-    monkeypatch.setattr("galen_model.load.choice.MIN_POSES_TO_REJECT", 1000)
-
-
-@pytest.fixture
 def world(tmp_path, plain_fit):
     with Harness() as harness:
         yield World(harness, tmp_path / "tools")

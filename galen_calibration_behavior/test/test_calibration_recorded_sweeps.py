@@ -9,6 +9,7 @@ from galen_calibration_behavior.from_bag.sweeps import SweepSorter
 from galen_calibration_behavior.from_bag.visits import find_visits
 from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
+from galen_model.load.identification import identify_two_sweeps
 from galen_model.load.model import ADAPTER, Load, gravity_wrench
 
 PARAMETERS = CalibrationParameters()
@@ -31,6 +32,12 @@ def found(sweeps):
     return estimate("x.json", "x", np.zeros(3), sweeps.measurements, [])
 
 
+def loads(sweeps):
+    """Tool and adapter by the constant bias alone, which takes a tenth of the time."""
+    told = sweeps.measurements
+    return identify_two_sweeps(told.bare, told.tool, told.zero_angles)
+
+
 def error_squared(estimated, true):
     """Squared distance of (mass, centre) from the truth in the stated covariance."""
     error = np.array([estimated.mass_kg - true.mass_kg, *(estimated.com_m - true.com_m)])
@@ -48,9 +55,9 @@ def test_both_loads_come_out_as_well_as_they_say_and_the_border_where_the_tool_c
     tape.calibration(tool)
     sweeps = two_sweeps(tape)
     assert counts(sweeps) == (len(POSES), len(POSES))
-    content = found(sweeps).content
-    assert error_squared(content.load, tool) < CHI2_4
-    assert error_squared(content.adapter, ADAPTER) < CHI2_4
+    both = loads(sweeps)
+    assert error_squared(both.load, tool) < CHI2_4
+    assert error_squared(both.adapter, ADAPTER) < CHI2_4
     tool_on_s = 3.0 + len(POSES) * 1.5 + 0.5 + 1.5
     assert sweeps.tool_on_s[0] < tool_on_s < sweeps.tool_on_s[1]
     assert sweeps.border.next_worse > 200.0
@@ -69,7 +76,7 @@ def test_a_grid_may_contain_home(poses, count):
     assert counts(sweeps) == (count, count)
     home = [pose for pose in sweeps.poses if np.all(np.abs(pose.visit.joints[3:]) < 1e-3)]
     assert len(home) == (2 if count == 9 else 0)
-    assert error_squared(found(sweeps).content.load, POINTER) < CHI2_4
+    assert error_squared(loads(sweeps).load, POINTER) < CHI2_4
 
 
 @pytest.mark.parametrize("before", ["another zero", "a tool"])
@@ -85,7 +92,7 @@ def test_nothing_from_before_the_zeroing_enters(before):
     sweeps = two_sweeps(tape.calibration(POINTER))
     assert counts(sweeps) == (len(POSES), len(POSES))
     assert "1 still phases before 6.5 s are left out" in sweeps.measurements.warnings[0]
-    assert found(sweeps).content.poses_rejected == ()
+    assert loads(sweeps).outliers == ()
 
 
 def test_a_whole_sweep_before_the_zeroing_is_another_recording():
@@ -93,7 +100,7 @@ def test_a_whole_sweep_before_the_zeroing_is_another_recording():
     tape.tool = NO_TOOL
     sweeps = two_sweeps(tape.calibration(POINTER))
     assert counts(sweeps) == (len(POSES), len(POSES))
-    assert error_squared(found(sweeps).content.load, POINTER) < CHI2_4
+    assert error_squared(loads(sweeps).load, POINTER) < CHI2_4
 
 
 def touched_at(pose, touch, again=False):
@@ -172,7 +179,7 @@ def test_a_light_tool_is_found_or_rejected_but_never_put_on_at_a_wrong_place():
             continue
         outcomes.append(True)
         assert counts(sweeps) == (len(POSES), len(POSES))
-        assert error_squared(found(sweeps).content.load, tape.tool) < CHI2_4
+        assert error_squared(loads(sweeps).load, tape.tool) < CHI2_4
     assert outcomes[0] is False
     assert outcomes[-1] is True
 
@@ -189,7 +196,7 @@ def test_where_a_pose_belongs_to_either_sweep_the_border_is_asked_for():
         two_sweeps(tape)
     sweeps = two_sweeps(tape, tool_on_at_s=20.0)
     assert counts(sweeps) == (len(POSES), len(POSES))
-    assert error_squared(found(sweeps).content.load, POINTER) < CHI2_4
+    assert error_squared(loads(sweeps).load, POINTER) < CHI2_4
 
 
 def test_the_border_given_by_hand_is_taken_and_a_wrong_one_is_found_out():
@@ -209,7 +216,7 @@ def test_two_recordings_of_a_sweep_each():
     sweeps = SORTER.two_recordings(bare, tool)
     assert counts(sweeps) == (len(POSES), len(POSES))
     assert sweeps.border is None
-    assert error_squared(found(sweeps).content.load, POINTER) < CHI2_4
+    assert error_squared(loads(sweeps).load, POINTER) < CHI2_4
     with pytest.raises(GalenError, match="the load is another from"):
         SORTER.two_recordings(bare, visits(Tape().calibration(POINTER)))
 
@@ -221,7 +228,7 @@ def test_a_recording_cut_off_in_the_second_sweep_gives_what_it_holds():
     sweeps = SORTER.two_sweeps(find_visits(tape.recording(stop=stop), SETTINGS))
     assert counts(sweeps)[0] == len(POSES)
     assert 8 <= counts(sweeps)[1] < len(POSES)
-    assert error_squared(found(sweeps).content.load, POINTER) < CHI2_4
+    assert error_squared(loads(sweeps).load, POINTER) < CHI2_4
     with pytest.raises(GalenError, match="no tool came on"):
         SORTER.two_sweeps(find_visits(tape.recording(stop=stop // 2), SETTINGS))
     with pytest.raises(GalenError, match="5 still poses are too few"):
