@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from galen_bags.arrays.arm_recording import read_arm
 from galen_bags.formats.writer import BagWriter
-from galen_calibration_behavior.calibration.estimate import estimate
 from galen_calibration_behavior.calibration.procedure import CalibrationRequest
 from galen_calibration_behavior.common.parameters import CalibrationParameters
 from galen_calibration_behavior.from_bag.sweeps import SweepSorter
 from galen_calibration_behavior.from_bag.visits import find_visits
 from galen_model.arm.galen import GALEN
+from galen_model.load.identification import identify_two_sweeps
 from galen_sim_driver.plant.cell import Plant
 from galen_sim_driver.plant.config import HandPush, PlantConfig
 from offline_cell import CellBag, OfflineCell
@@ -96,7 +96,7 @@ def test_a_recording_gives_the_live_averages_to_the_last_bit(tmp_path, grid, rat
     same(live, again)
     assert again.bare_indices == live.bare_indices
     assert again.tool_indices == live.tool_indices
-    files = [estimate("x", "x", np.zeros(3), each, []).content for each in (live, again)]
+    files = [identify_two_sweeps(one.bare, one.tool, one.zero_angles) for one in (live, again)]
     # The fit's last bits hang on where its arrays lie in memory.
     assert files[0].load.mass_kg == pytest.approx(files[1].load.mass_kg, rel=1e-12)
     np.testing.assert_allclose(files[0].load.covariance, files[1].load.covariance, rtol=1e-9)
@@ -111,5 +111,5 @@ def test_a_pose_that_was_touched_and_tried_again_live_is_so_offline(tmp_path):
     assert live.rejected == again.rejected == []
     assert again.tool_indices[-1] == 6  # measured at the end of the sweep
     assert sorted(again.tool_indices) == live.tool_indices
-    files = [estimate("x", "x", np.zeros(3), each, []).content for each in (live, again)]
+    files = [identify_two_sweeps(one.bare, one.tool, one.zero_angles) for one in (live, again)]
     assert files[1].load.mass_kg == pytest.approx(files[0].load.mass_kg, rel=1e-9)
