@@ -61,6 +61,7 @@ def test_a_bias_that_creeps_is_found_by_default_and_drawn(calibrate, tmp_path):
     assert pictures == 4
 
 
+@pytest.mark.usefixtures("plain_fit")
 def test_a_healthy_recording_has_no_remarks_but_of_the_order_of_its_poses(calibrate):
     tip = ("--tip", "0.15", "0", "0.05")
     mixed = [POSES[k] for k in np.random.default_rng(3).permutation(len(POSES))]
@@ -75,6 +76,7 @@ def test_a_healthy_recording_has_no_remarks_but_of_the_order_of_its_poses(calibr
         assert told in text
 
 
+@pytest.mark.usefixtures("plain_fit")
 def test_what_was_not_good_is_told_with_its_number(calibrate):
     tape = Tape(5)
     tape.bias = -0.4 * UNITS  # never zeroed
@@ -107,6 +109,7 @@ def test_what_was_not_good_is_told_with_its_number(calibrate):
         assert re.search(told, text), (told, text)
 
 
+@pytest.mark.usefixtures("plain_fit")
 def test_a_missing_orientation_is_named_with_what_it_is_worth(calibrate):
     few = [pose for pose in POSES if pose[1] > -0.5][:8]
     _, text, _ = calibrate(Tape(5).calibration(POINTER, few).recording())

@@ -14,7 +14,7 @@ from galen_diagnosis.inference.diagnosing import diagnose_recording
 from galen_diagnosis.inference.refine import nothing
 from galen_diagnosis.observation.observation import Observation
 from galen_diagnosis.observation.recording import Earlier, read_recording
-from galen_diagnosis.simulated_recording import make_recording
+from galen_diagnosis.simulated_recording import make_recording, sweep_poses
 from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
 from galen_sim_driver.effects.joints import JointZeroOffset
@@ -90,7 +90,8 @@ def test_healthy_deviations_become_effects_that_change_what_their_columns_do(for
 
 
 def test_no_gap_has_no_budget(forms, tmp_path):
-    make_recording(tmp_path / "healthy", seed=4, bags=("sweep",), arm=GALEN)
+    poses = sweep_poses(arm=GALEN)[::7]
+    make_recording(tmp_path / "healthy", seed=4, bags=("sweep",), poses=poses, arm=GALEN)
     observation = Observation(read_recording(tmp_path / "healthy"))
     observation.nominal = np.random.default_rng(1).standard_normal(len(observation.rows))
     assert budget_of(Forms(observation), observation) == ()

@@ -9,7 +9,7 @@ from galen_diagnosis.effects.forms import healthy_background
 from galen_diagnosis.observation.observation import Observation
 from galen_diagnosis.observation.recording import read_recording
 from galen_diagnosis.observation.specification import presets, specification_of
-from galen_diagnosis.simulated_recording import make_recording
+from galen_diagnosis.simulated_recording import make_recording, sweep_poses
 from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
 from galen_sim_driver.effects.joints import JointZeroOffset
@@ -111,7 +111,9 @@ def recording(tmp_path_factory):
     return folder
 
 
-def test_half_a_limit_is_the_deviation_beside_every_cause(recording, tmp_path):
+def test_half_a_limit_is_the_deviation_beside_every_cause(tmp_path):
+    recording, poses = tmp_path / "made", sweep_poses(arm=GALEN)[::7]
+    make_recording(recording, ORDINARY, seed=4, bags=("sweep",), poses=poses, arm=GALEN)
     plain = healthy_background(Observation(read_recording(recording))).prior_std
     limited = read_recording(recording, specification=[write(tmp_path, LIMITS), "galen"])
     std = healthy_background(Observation(limited)).prior_std
