@@ -161,24 +161,29 @@ def diagnose_recording(
     """
     say = progress or (lambda what, share: None)
     settings = settings or load_settings()
-    for number, one in enumerate(references):
+    for one in references:
         if one.arm.joint_names != recording.arm.joint_names:
             raise GalenError(
                 f"{one.name}: no reference of {recording.name}, since its arm has other joints:"
                 f" {', '.join(one.arm.joint_names)}, not {', '.join(recording.arm.joint_names)}"
             )
-        share = number / (len(references) + 1)
+    for number, one in enumerate(references):
         known = one if recording.earlier is None else replace(one, earlier=recording.earlier)
-        say(f"reference {one.name}", share)
-        explored = explore(known)
+        explored = explore(known, _part(say, number, len(references) + 1, f"{one.name}: "))
         fit = fit_of_causes(explored, settings)
         found = explored.found
         off = hstack(explored.discrepancies.of(fit), format="csc")
         tolerances = found.forms.tolerances
         numbers = tolerances_after(explored.observation, found.behind, tolerances, fit, off)
         recording = after(recording, known, tolerances, *numbers, fit)
+    say = _part(say, len(references), len(references) + 1)
     say("reading against the nominal arm", 0.02)
-    return conclude(explore(recording, progress), settings, say)
+    return conclude(explore(recording, say), settings, say)
+
+
+def _part(say: Progress, number: int, parts: int, name: str = "") -> Progress:
+    """Return the progress of one of several parts, which take as long each."""
+    return lambda what, share: say(name + what, (number + share) / parts)
 
 
 def conclude(explored: Explored, settings: Settings, say: Progress) -> Diagnosis:
