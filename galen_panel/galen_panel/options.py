@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from galen_common.command import make_parser
+from galen_diagnosis.observation.specification import path_of, presets
 
 from galen_panel.state.snapshot import TOOLS_DIR
 
@@ -42,6 +43,7 @@ class Options:
     show: bool
     certificate: Path | None = None
     key: Path | None = None
+    specification: tuple[str, ...] = ()
 
     @property
     def link(self) -> str:
@@ -94,6 +96,14 @@ def read_options(arguments: list[str], environment: dict[str, str] | None = None
         metavar="DIR",
         help="where reports on recordings are written (default: %(default)s)",
     )
+    parser.add_argument(
+        "--specification",
+        nargs="+",
+        default=(),
+        metavar="FILE|PRESET",
+        help="limits of what is healthy that the page offers first for a diagnosis; as those of"
+        " `diagnose` (default: as there)",
+    )
     parser.add_argument("--show", action="store_true", help="open it in this machine's browser")
     parser.add_argument("--certificate", type=_path, metavar="FILE", help="PEM: serve https")
     parser.add_argument("--key", type=_path, metavar="FILE", help="the certificate's key, PEM")
@@ -105,6 +115,9 @@ def read_options(arguments: list[str], environment: dict[str, str] | None = None
             parser.error(f"{path}: is no file")
     if not given.bags_dir.is_dir():
         parser.error(f"--bags-dir {given.bags_dir}: is no directory")
+    for one in given.specification:
+        if not path_of(one).is_file():
+            parser.error(f"--specification {one}: is no file; presets: {', '.join(presets())}")
     token = (os.environ if environment is None else environment).get(TOKEN_VARIABLE, "")
     if token and not _TOKEN.fullmatch(token):
         parser.error(
@@ -120,6 +133,7 @@ def read_options(arguments: list[str], environment: dict[str, str] | None = None
         show=given.show,
         certificate=given.certificate,
         key=given.key,
+        specification=tuple(given.specification),
     )
 
 

@@ -55,7 +55,9 @@ def serve(suite: RosSuite, options: Options, on_stop: Callable[[], None]) -> Non
     def arm() -> Arm:
         return suite.state.drawing.arm if suite.state.drawing else GALEN
 
-    recordings = Recordings(options.bags_dir, options.tools_dir, options.output_dir, arm)
+    recordings = Recordings(
+        options.bags_dir, options.tools_dir, options.output_dir, arm, options.specification
+    )
     # NiceGUI adds middleware of its own when it starts, around what was added before; one has
     # browsers keep whatever comes from below /_nicegui, a rejection as well, for a year.
     inner = app.build_middleware_stack

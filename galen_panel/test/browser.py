@@ -151,20 +151,38 @@ class Browser:
         field.send_keys(text)
 
     def choose(self, testid, text):
-        """An entry of a list that opens; a page that is just changing closes it again."""
+        """An entry of a list that opens."""
+        self._entry(testid, text).click()
+        self.wait(lambda: not self._lists(), f"the list of {testid} to close")
 
-        def entry():
-            entries = self.driver.find_elements(By.CSS_SELECTOR, ".q-menu .q-item")
-            return next((one for one in entries if text in one.text), None)
+    def choose_several(self, testid, *texts):
+        """Entries of a list that stays open until Escape."""
+        for text in texts:
+            self._entry(testid, text).click()
+        self.press("\ue00c")
+        self.wait(lambda: not self._lists(), f"the list of {testid} to close")
 
+    def _entry(self, testid, text):
         def opened():
-            found = entry()
-            if found is None and not self.driver.find_elements(By.CSS_SELECTOR, ".q-menu"):
+            entries = self.driver.find_elements(By.CSS_SELECTOR, ".q-menu .q-item")
+            found = next((one for one in entries if text in one.text), None)
+            lists = self._lists()
+            # A page that is just changing closes it again.
+            if found is None and not lists:
                 self.click(testid)
+            # Quasar gives up to place a list that is not drawn within 60 ms.
+            elif any(one.value_of_css_property("visibility") == "hidden" for one in lists):
+                self.press("\ue00c")
             return found
 
-        self.wait(opened, f"the entry {text} of {testid}").click()
-        self.wait(lambda: entry() is None, f"the list of {testid} to close")
+        return self.wait(opened, f"the entry {text} of {testid}")
+
+    def _lists(self):
+        return self.driver.find_elements(By.CSS_SELECTOR, ".q-menu")
+
+    def hover(self, testid):
+        """As a mouse that rests on it."""
+        webdriver.ActionChains(self.driver).move_to_element(self.find(testid)).perform()
 
     def press(self, *keys):
         """Keys to whatever has the focus."""

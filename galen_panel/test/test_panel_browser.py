@@ -41,8 +41,12 @@ def world(tmp_path_factory):
         bags = one.folder / "bags"
         for name in ("free_motion", "tools"):
             shutil.copytree(BAGS / name, bags / name)
+        for name in ("monday", "tuesday"):
+            shutil.copytree(BAGS / "free_motion", bags / name / "sweep")
+            (bags / name / "sweep" / "free_motion.mcap").write_bytes(b"cut")
+            shutil.copy(BAGS / "tools" / "pointer.json", bags / name / "tool.json")
         one.diagnosis = hostile_report(one.folder / "panel")
-        one.link = one.start_panel("--bags-dir", bags, fake=True)
+        one.link = one.start_panel("--bags-dir", bags, "--specification", "ur5e", fake=True)
         yield one
 
 
@@ -218,12 +222,13 @@ def test_a_diagnosis_page_can_run_no_script(page, world):
     assert page.driver.title == "Galen"
 
 
-def test_an_evaluation_is_begun_seen_in_another_browser_and_read(page, second_browser, world):
+def test_jobs_are_begun_seen_in_another_browser_and_read(page, second_browser, world):
     open_tab(page, "recordings")
     page.type("bags-filter", "free")
     page.says("bags-status", "1 recording")
     page.click("bag-0")
     page.says("bag-picked", "free_motion", "32 s")
+    assert not page.all("bag-specification") and not page.all("bag-reference")
     page.click("bag-start")
     second_browser.open(world.link)
     open_tab(second_browser, "recordings")
@@ -234,6 +239,21 @@ def test_an_evaluation_is_begun_seen_in_another_browser_and_read(page, second_br
     assert "+140.0" in second_browser.text("report-sentence")
     picture = "return document.querySelector('[data-testid=report] img').naturalWidth > 500"
     second_browser.wait(lambda: second_browser.script(picture), "the picture")
+
+    page.type("bags-filter", "tuesday diagnosis")
+    page.says("bag-0", "tuesday")
+    page.click("bag-0")
+    page.says("bag-specification", "ur5e")
+    page.choose_several("bag-specification", "ati_axia80", "bota_sensone")
+    page.says("bag-specification", "ur5e", "ati_axia80", "bota_sensone")
+    page.choose_several("bag-reference", "monday")
+    page.hover("bag-reference")
+    tooltip = "return document.querySelector('.q-tooltip')?.innerText ?? ''"
+    page.wait(lambda: "same arm and tool" in page.script(tooltip), "the tooltip")
+    settled(page)
+    assert too_small(texts(page)) == [] and too_faint(texts(page)) == []
+    page.click("bag-start")
+    page.says("jobs", "Diagnosis of tuesday, compared with monday, failed. It failed: ", "sweep")
 
 
 # The connection

@@ -92,6 +92,7 @@ def test_links_are_such_as_a_browser_takes(tmp_path):
         (["--certificate", "a.pem"], "go together"),
         (["--key", "a.pem"], "go together"),
         (["--certificate", "a.pem", "--key", "b.pem"], "a.pem: is no file"),
+        (["--specification", "ur5e", "ur6"], "--specification ur6: is no file; presets: ati_"),
         (["--colour", "green"], "--colour"),
         (["here"], "here"),
     ],
@@ -101,6 +102,14 @@ def test_wrong_arguments_are_named(arguments, told, capsys):
         read_options(arguments, {})
     assert ended.value.code == 2
     assert told in capsys.readouterr().err
+
+
+def test_presets_and_files_are_what_is_healthy_at_first(tmp_path):
+    file = tmp_path / "lab.json"
+    file.touch()
+    assert read_options([], {}).specification == ()
+    given = ["--specification", "ur5e_calibrated", str(file)]
+    assert read_options(given, {}).specification == ("ur5e_calibrated", str(file))
 
 
 @pytest.mark.parametrize("token", ["short", "x" * 15, "with spaces " * 2, "ä" * 20, "a;b" * 9])

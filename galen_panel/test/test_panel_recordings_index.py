@@ -44,9 +44,9 @@ def make_bag(folder, start=1_700_000_000_000_000_000, duration=5_000_000_000, co
     return folder
 
 
-def make_set(folder, names=("sweep", "motion", "push"), tool=True):
+def make_set(folder, names=("sweep", "motion", "push"), tool=True, start=17 * 10**17):
     for number, name in enumerate(names):
-        make_bag(folder / name, start=1_700_000_000_000_000_000 + number * 10**11)
+        make_bag(folder / name, start=start + number * 10**11)
     if tool:
         shutil.copy(BAGS / "tools" / "pointer.json", folder / "tool.json")
     return folder
@@ -170,6 +170,43 @@ def test_a_browsers_word_is_never_a_path(archive, tmp_path, name):
     answer = recordings.start(found.id, name)
     assert not answer.ok and "calibration file" in answer.text
     assert recordings.jobs.jobs == () and not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("linked", ["tool.json", "arm.urdf", "specification.json"])
+def test_no_file_that_a_diagnosis_reads_leads_out(archive, tmp_path, linked):
+    folder = make_set(archive / "set", tool=False)
+    secret = tmp_path / "secret"
+    secret.write_text("{}")
+    (folder / linked).symlink_to(secret)
+    assert f"{linked} is a link that leads out" in described(archive)["set"][1].problem
+
+
+def test_a_diagnosis_is_compared_with_what_was_offered_alone(archive, tmp_path):
+    for number, name in enumerate(("monday", "tuesday", "wednesday")):
+        make_set(archive / name, start=(15 + number) * 10**17)
+    recordings = Recordings(archive, BAGS / "tools", tmp_path / "out", specification=["lab.json"])
+    taken = []
+    recordings.jobs.submit = taken.append
+    ids = {one.name: one.id for one in recordings.search()}
+    here = ids["wednesday"]
+    assert [one.name for one in recordings.references(here)] == ["tuesday", "monday"]
+    assert {"lab.json", "ur5e_calibrated", "ati_axia80"} <= set(recordings.specifications())
+
+    recordings.start(here, "beside", ["ati_axia80", "lab.json"], [ids["tuesday"], ids["monday"]])
+    (wanted,) = taken
+    assert wanted.specification == ("ati_axia80", "lab.json")
+    assert wanted.reference == (archive / "monday", archive / "tuesday")  # by time
+
+    for name in ("../lab.json", "/etc/passwd", "", "ur5e.json"):
+        answer = recordings.start(here, "beside", [name], [])
+        assert not answer.ok and "specification" in answer.text
+    for name in (here, ids["monday/sweep"], "monday", str(archive / "monday"), ""):
+        answer = recordings.start(here, "beside", [], [ids["tuesday"], name])
+        assert not answer.ok and "compare with" in answer.text
+    (archive / "monday" / "sweep" / "sweep_0.mcap").unlink()
+    answer = recordings.start(here, "beside", [], [ids["monday"]])
+    assert not answer.ok and "monday can't be used. sweep: Its files are missing." in answer.text
+    assert taken == [wanted]
 
 
 # The tools

@@ -26,8 +26,9 @@ output = pathlib.Path(request["output"])
 what = pathlib.Path(request["recording"]).name
 tell(stage="reading", share=0.25, nice=os.nice(0))
 if what.startswith("good"):
-    (output / "evaluation.json").write_text(json.dumps({"tool": request["tool"]}))
-    tell(verdict="fits", sentence="It fits.")
+    given = {key: request[key] for key in ("tool", "specification", "reference")}
+    (output / "evaluation.json").write_text(json.dumps(given))
+    tell(verdict="fits", sentence="It fits.", since=", ".join(request["reference"]))
 elif what == "hang":
     child = subprocess.Popen(["sleep", "600"], stdin=subprocess.DEVNULL)
     (output.parent / "child").write_text(str(child.pid))
@@ -47,8 +48,8 @@ elif what == "garbage":
 """
 
 
-def wanted(name, kind="evaluate", tool="/tools/pointer.json"):
-    return Wanted(kind, name, f"id-{name}", Path("/bags") / name, "pointer", Path(tool))
+def wanted(name, kind="evaluate", tool="/tools/pointer.json", **given):
+    return Wanted(kind, name, f"id-{name}", Path("/bags") / name, "pointer", Path(tool), **given)
 
 
 def until(predicate, what):
@@ -95,15 +96,17 @@ def folders(output):
 
 
 def test_a_job_leaves_a_report_that_is_found_again_after_a_restart(jobs, output):
-    assert jobs.submit(wanted("good")).ok
+    given = {"specification": ("ur5e", "bota_sensone"), "reference": (Path("/bags/old"),)}
+    assert jobs.submit(wanted("good", **given)).ok
     job = ended(jobs, 1)
     assert (job.stage, job.text) == ("done", "It fits.")
     again = Reports(output)
     (report,) = again.all()
     assert report.id == job.report and report.recording_id == "id-good"
-    assert (report.verdict, report.tool) == ("fits", "pointer")
+    assert (report.verdict, report.tool, report.since) == ("fits", "pointer", "/bags/old")
     content = json.loads(again.files(report)[EVALUATION].read_text())
-    assert content == {"tool": "/tools/pointer.json"}
+    assert content == {"tool": "/tools/pointer.json", "specification": ["ur5e", "bota_sensone"],
+                       "reference": ["/bags/old"]}  # fmt: skip
     assert folders(output) == [report.id]
 
 

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import httpx
 import numpy as np
@@ -19,6 +20,7 @@ from galen_model.arm.galen import GALEN
 from galen_model.files.calibration_file import CalibrationFile, write_calibration, zeroed_at
 from galen_model.load.model import LoadEstimate
 from galen_panel.access import Access
+from galen_panel.recordings.bag_worker import diagnose
 from galen_panel.recordings.recordings import Recordings
 from galen_panel.recordings.reports import (
     EVALUATION,
@@ -118,29 +120,39 @@ def test_an_evaluation_that_can_not_be_made_is_told(make, tmp_path):
     assert "cut" in job.text and recordings.reports.all() == []
 
 
-@pytest.mark.slow
-@pytest.mark.timeout(600)
-def test_a_bag_of_another_arm_is_evaluated_on_the_panels(tmp_path):
-    urdf = (BAGS.parent / "galen_bringup/urdf/six_axis.urdf").read_text()
-    arm = read_arm(urdf, sensor_frame="tool0")
+URDF = (BAGS.parent / "galen_bringup/urdf/six_axis.urdf").read_text()
+
+
+def write_rest(folder, tool_path, arm):
+    """A bag of an arm in six poses, and the file of its tool."""
     load, std = LoadEstimate(0.5, np.array([0.0, 0.01, 0.05]), 1e-8 * np.eye(4)), np.zeros(6)
     tool = CalibrationFile("gripper", load, load, std[:3], std, 20, "2026-01-01T00:00:00+00:00",
                            arm=arm, zeroing=zeroed_at(arm=arm))  # fmt: skip
-    (tmp_path / "tools").mkdir()
-    write_calibration(tmp_path / "tools" / "gripper.json", tool)
+    tool_path.parent.mkdir(parents=True, exist_ok=True)
+    write_calibration(tool_path, tool)
     rng = np.random.default_rng(2)
-    wire, joints = wrench_bytes("tool0"), joint_state_bytes(arm.joint_names)
-    with BagWriter(tmp_path / "bags" / "rest") as bag:
+    names = arm.joint_names
+    wire, joints = wrench_bytes(arm.sensor_frame), joint_state_bytes(names)
+    with BagWriter(folder) as bag:
         at = {name: bag.add_topic(name, kind) for name, kind in (
             ("joint_states", "sensor_msgs/msg/JointState"),
             ("wrench_raw", "geometry_msgs/msg/WrenchStamped"),
         )}  # fmt: skip
-        poses = np.repeat(rng.uniform(-1.5, 1.5, (6, 6)), 400, axis=0)
-        readings = tool.predict(poses) + rng.normal(size=(2400, 6)) * np.repeat([0.02, 4e-4], 3)
+        poses = np.repeat(rng.uniform(-0.5, 0.5, (6, len(names))), 400, axis=0)
+        readings = tool.predict(arm.angles(poses)) + rng.normal(size=(2400, 6)) * np.repeat(
+            [0.02, 4e-4], 3
+        )
         for k, (pose, reading) in enumerate(zip(poses, readings, strict=True)):
             stamp = 10**18 + k * 10**7
             bag.write(at["joint_states"], stamp, joints.fill(stamp, pose, 0.0 * pose))
             bag.write(at["wrench_raw"], stamp, wire.fill(stamp, reading))
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_a_bag_of_another_arm_is_evaluated_on_the_panels(tmp_path):
+    arm = read_arm(URDF, sensor_frame="tool0")
+    write_rest(tmp_path / "bags" / "rest", tmp_path / "tools" / "gripper.json", arm)
     recordings = Recordings(tmp_path / "bags", tmp_path / "tools", tmp_path / "out", lambda: arm)
     (found,) = recordings.search()
     assert recordings.start(found.id, "tools:gripper").ok
@@ -156,21 +168,64 @@ def test_a_diagnosis_finds_its_cause_and_its_page_runs_nothing(make, tmp_path):
     from galen_sim_driver.effects.joints import JointGain
 
     folder = tmp_path / "bags"
+    make_recording(folder / "healthy", [], seed=12, arm=GALEN)
     make_recording(folder / "tilted", [JointGain("tilt", 0.02)], seed=13, arm=GALEN)
     recordings = make(folder)
-    found = next(one for one in recordings.search() if one.name == "tilted")
-    answer = recordings.start(found.id, "beside")
+    ids = {one.name: one.id for one in recordings.search()}
+    answer = recordings.start(ids["tilted"], "beside", ["galen"], [ids["healthy"]])
     assert answer.ok, answer.text
     job, shares = finished(recordings, 1, 800.0)
     assert job.stage == "done", job.text
     assert shares == sorted(shares) and max(shares) > 0.5
     (report,) = recordings.reports.all()
     assert report.kind == "diagnose" and report.verdict == "identified"
+    assert report.since == "healthy" and report.sentence.startswith("Since healthy: ")
     assert {"report.html", "found_effect.yaml"} <= set(recordings.reports.files(report))
     page = ask(recordings, f"{report.id}/report.html")
     assert page.headers["content-type"] == "text/html; charset=utf-8"
     effect = ask(recordings, f"{report.id}/found_effect.yaml")
     assert effect.headers["content-disposition"].startswith("attachment")
+
+
+def test_what_was_chosen_reaches_the_diagnosis(monkeypatch, tmp_path):
+    from galen_diagnosis.diagnose import Job
+
+    def answer(job, place, progress):
+        assert (job.specification, job.reference) == (("ur5e", "lab.json"), (tmp_path / "old",))
+        said = {"verdict": "none", "sentence": "Unchanged.", "reference": ("older", "old")}
+        return SimpleNamespace(answer=SimpleNamespace(**said))
+
+    monkeypatch.setattr(Job, "diagnose", answer)
+    request = {"specification": ["ur5e", "lab.json"], "reference": [str(tmp_path / "old")]}
+    said = diagnose(tmp_path / "new", None, tmp_path / "out", request, lambda *_: None)
+    assert said == {"verdict": "none", "sentence": "Unchanged.", "since": "older, old"}
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_what_a_diagnosis_can_not_take_is_told_as_by_the_command(capsys, tmp_path):
+    from galen_diagnosis.diagnose import main
+
+    bags = tmp_path / "bags"
+    for name, arm in (("galen", GALEN), ("six", read_arm(URDF, sensor_frame="tool0"))):
+        write_rest(bags / name / "sweep", bags / name / "tool.json", arm)
+    (bags / "six" / "arm.urdf").write_text(URDF)
+    broken = tmp_path / "lab.json"
+    broken.write_text('{"schema_version": 1, "limits": {"axis_gian": 0.01}}')
+    recordings = Recordings(bags, BAGS / "tools", tmp_path / "out", specification=[str(broken)])
+    ids = {one.name: one.id for one in recordings.search()}
+    assert recordings.start(ids["galen"], "beside", [], [ids["six"]]).ok
+    assert recordings.start(ids["galen"], "beside", [str(broken)]).ok
+    texts = [finished(recordings, number)[0].text for number in (1, 2)]
+    recordings.jobs.close()
+    assert "six: no reference of galen, since its arm has other joints" in texts[0]
+    assert "lab.json: limits.axis_gian is no effect that has a limit" in texts[1]
+    for text, option in zip(
+        texts, [("--reference", bags / "six"), ("--specification", broken)], strict=True
+    ):
+        out = "--output", tmp_path / "none"
+        assert main([str(one) for one in (bags / "galen", *option, *out)]) == 1
+        assert capsys.readouterr().err.strip() == text.replace("It failed", "diagnose")
 
 
 def test_nothing_but_a_reports_files_is_served(make, tmp_path):

@@ -30,7 +30,16 @@ _LISTED = 30
 _EVALUATE = "It says whether the calibration file still fits the recording."
 _DIAGNOSE = (
     "It looks for what makes arm and model differ. That takes about half a minute, longer while the"
-    " computer has other work."
+    " computer has other work, and as long again for each recording to compare with."
+)
+_SPECIFICATION = (
+    "What the data sheets of the arm and of its sensor allow: what stays within is no fault. Choose"
+    " one of each; where both have a number, the first one's counts. Without a choice: the"
+    " recording's own specification.json, else what is usual for such an arm."
+)
+_REFERENCE = (
+    "Earlier recordings of the same arm and tool, made when all was well: the result is what has"
+    " changed since. Without a choice the arm is compared with its model alone."
 )
 _PERIOD_S = 0.5
 _MOST = 10
@@ -45,15 +54,15 @@ Open = Callable[[str], Awaitable[None]]
 
 
 def build(page: Page) -> None:
-    """Draw the list, the picked recording, the queue and the reports."""
+    """Draw the list and, beside it, the picked recording, the queue and the reports."""
     ui.add_css(_STYLE)
     with ui.element("div").classes("panel-recordings"):
         picked = _Picked(page)
         found = _List(page, picked)
         with ui.column().classes("gap-4 w-full"):
             picked.draw()
+            build_queue(page, lambda report_id: reports.open(report_id))
             reports = ReportList(page, lambda: picked.id)
-            build_queue(page, reports.open)
     ui.timer(0.1, found.show, once=True)  # searched in the background
 
 
@@ -155,6 +164,11 @@ class _Picked:
             with ui.column().classes("w-full gap-2") as self._actions:
                 self._tool = ui.select({}, label="Calibration file").classes("w-full")
                 self._tool.props("outlined data-testid=bag-tool")
+                with ui.column().classes("w-full gap-2") as self._of_diagnosis:
+                    self._specification = _several("What is still healthy", _SPECIFICATION)
+                    self._specification.props("data-testid=bag-specification")
+                    self._reference = _several("Compare with", _REFERENCE)
+                    self._reference.props("data-testid=bag-reference")
                 self._start = ui.button("Evaluate", icon="fact_check", on_click=self._begin)
                 self._start.props("no-caps unelevated data-testid=bag-start")
                 self._hint = ui.label().classes("panel-lines")
@@ -171,6 +185,12 @@ class _Picked:
         self._facts.set_text(line_of(recording, details) + problem)
         choices = {tool.id: tool.label for tool in tools}
         self._tool.set_options(choices, value=self._favourite(choices))
+        self._of_diagnosis.set_visibility(bool(recording.parts))
+        recordings = self._page.recordings
+        healthy = list(recordings.specification) if recording.parts else []
+        self._specification.set_options(recordings.specifications(), value=healthy)
+        references = {one.id: one.name for one in recordings.references(recording.id)}
+        self._reference.set_options(references, value=[])
         self._start.set_text("Diagnose" if recording.parts else "Evaluate")
         self._actions.set_visibility(not details.problem)
         why_not = "" if choices else "No calibration file was found: calibrate the tool first."
@@ -179,7 +199,8 @@ class _Picked:
 
     async def _begin(self) -> None:
         tool = str(self._tool.value or "")
-        work = run_in_threadpool(self._page.recordings.start, self.id, tool)
+        chosen = list(self._specification.value), list(self._reference.value)
+        work = run_in_threadpool(self._page.recordings.start, self.id, tool, *chosen)
         await self._page.ask(work, self._start)
 
     def _favourite(self, choices: dict[str, str]) -> str | None:
@@ -188,6 +209,16 @@ class _Picked:
         name = "" if active_tool is None else active_tool.tool
         wanted = (BESIDE, f"tools:{name}", f"bags:{name}", *choices)
         return next((one for one in wanted if one in choices), None)
+
+
+def _several(label: str, tooltip: str) -> ui.select:
+    """Draw a choice of several, none at first."""
+    chosen = ui.select([], label=label, multiple=True, value=[], clearable=True)
+    chosen.props("outlined use-chips").classes("w-full")
+    with chosen:
+        # Above: below is the list that opens.
+        ui.tooltip(tooltip).props("anchor='top middle' self='bottom middle' max-width=30rem")
+    return chosen
 
 
 def _status(total: int, text: str, problem: str) -> str:
@@ -262,8 +293,13 @@ class ReportList:
             ui.icon(icon, size="1.8rem").classes(colour).props("aria-hidden=true")
             with ui.column().classes("gap-0"):
                 ui.label(f"{report.recording}: {word}").classes("panel-recording-name")
-                about = f"{KINDS[report.kind]} with {report.tool}, {texts.date(report.made_at)}"
+                about = f"{KINDS[report.kind]} with {_about(report)}"
                 ui.label(about).classes("panel-lines")
+
+
+def _about(report: StoredReport) -> str:
+    since = f", compared with {report.since}" if report.since else ""
+    return f"{report.tool}{since}, {texts.date(report.made_at)}"
 
 
 def _draw(report: StoredReport, files: list[str], dialog: ui.dialog) -> None:
@@ -271,7 +307,7 @@ def _draw(report: StoredReport, files: list[str], dialog: ui.dialog) -> None:
     level, word = report.verdict_words
     icon, colour = LOOKS[level]
     with ui.row().classes("w-full items-start no-wrap"):
-        about = f"{report.recording}, with {report.tool}, {texts.date(report.made_at)}"
+        about = f"{report.recording}, with {_about(report)}"
         ui.label(about).classes("panel-quiet panel-lines")
         ui.space()
         close = ui.button("Close", icon="close", on_click=dialog.close)
@@ -376,6 +412,8 @@ class _JobLine:
 
 def _job_text(job: QueuedJob, word: str) -> str:
     name = f"{KINDS[job.wanted.kind]} of {job.wanted.recording}"
+    if job.wanted.reference:
+        name += f", compared with {', '.join(path.name for path in job.wanted.reference)},"
     if job.stage == "running":
         share = "" if job.share is None else f", {job.share:.0%}"
         return f"{name} {word}: {job.doing}{share}"

@@ -5,10 +5,12 @@ alone. Its task is one line of JSON on standard input, its progress are lines of
 output. It ends when standard input is closed: then the panel is gone.
 
     {"kind": "evaluate", "recording": PATH, "tool": PATH or null, "output": PATH,
-     "arm": {"urdf": TEXT, "base_frame": ..., "sensor_frame": ..., "gravity_m_s2": [...]}}
+     "arm": {"urdf": TEXT, "base_frame": ..., "sensor_frame": ..., "gravity_m_s2": [...]},
+     "specification": [PRESET or PATH, ...], "reference": [PATH, ...]}
     {"stage": "reading", "share": 0.4}     share: null where unknown
     {"error": "a sentence"}                the last line, where it failed
-    {"verdict": "fits", "sentence": "..."} the last line, where it is done
+    {"verdict": "fits", "sentence": "...", "since": "..."}
+                                           the last line, where it is done; since: the references
 """
 
 from __future__ import annotations
@@ -54,7 +56,7 @@ def main() -> int:
         job = {"evaluate": evaluate, "diagnose": diagnose}[request["kind"]]
         tool = None if request["tool"] is None else Path(request["tool"])
         places = Path(request["recording"]), tool, Path(request["output"])
-        result = job(*places, request["arm"], reporter.progress)
+        result = job(*places, request, reporter.progress)
     except GalenError as error:
         reporter.line({"error": str(error)})
         return 1
@@ -72,7 +74,7 @@ def evaluate(
     recording: Path,
     tool: Path | None,
     output: Path,
-    arm: dict[str, Any],
+    request: dict[str, Any],
     on_progress: OnProgress,
 ) -> dict[str, Any]:
     """Do as the command `evaluate`; writes its JSON, its picture, and its terminal's report."""
@@ -83,6 +85,7 @@ def evaluate(
     from rich.console import Console
 
     assert tool is not None
+    arm = request["arm"]
     on_progress("reading", None)
     with open_bag(recording) as bag:
         own = robot_description(bag)
@@ -109,23 +112,31 @@ def evaluate(
     page.save_html(str(output / EVALUATION_PAGE), inline_styles=True)
     for picture in output.glob("*.png"):
         picture.rename(output / PICTURE)
-    return {"verdict": content["verdict"], "sentence": content["sentence"]}
+    return {"verdict": content["verdict"], "sentence": content["sentence"], "since": ""}
 
 
 def diagnose(
     recording: Path,
     tool: Path | None,
     output: Path,
-    _arm: dict[str, Any],
+    request: dict[str, Any],
     on_progress: OnProgress,
 ) -> dict[str, Any]:
     """Do as the command `diagnose`, with its report; the recording describes its own arm."""
     from galen_diagnosis.diagnose import Job
 
     folders = {recording: output / DIAGNOSIS_FOLDER}
-    job = Job(tool=tool, folders=folders, report=True, overwrite=False)
+    job = Job(
+        tool=tool,
+        folders=folders,
+        report=True,
+        overwrite=False,
+        specification=tuple(request["specification"]),
+        reference=tuple(map(Path, request["reference"])),
+    )
     answer = job.diagnose(recording, on_progress).answer
-    return {"verdict": answer.verdict, "sentence": answer.sentence}
+    since = ", ".join(answer.reference)
+    return {"verdict": answer.verdict, "sentence": answer.sentence, "since": since}
 
 
 class _Reporter:

@@ -40,7 +40,8 @@ JobStage = Literal["waiting", "running", "done", "failed", "canceled"]
 class Wanted:
     """A job's task; kind: evaluate or diagnose; recording, tool: names for a person.
 
-    arm: of a bag that doesn't describe its own.
+    arm: of a bag that doesn't describe its own. specification: presets and files, reference:
+    earlier recordings; as `diagnose` takes them.
     """
 
     kind: str
@@ -50,6 +51,8 @@ class Wanted:
     tool: str
     calibration_path: Path | None
     arm: Arm = field(default=GALEN, compare=False)
+    specification: tuple[str, ...] = ()
+    reference: tuple[Path, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -202,6 +205,7 @@ class Jobs:
                         "tool": job.wanted.tool,
                         "verdict": str(last["verdict"]),
                         "sentence": str(last.get("sentence", "")),
+                        "since": str(last.get("since", "")),
                     },
                 )
                 self._end(job.id, "done", report.sentence, report.id)
@@ -242,6 +246,8 @@ class Jobs:
                 "sensor_frame": wanted.arm.sensor_frame,
                 "gravity_m_s2": wanted.arm.gravity_m_s2.tolist(),
             },
+            "specification": wanted.specification,
+            "reference": [str(path.absolute()) for path in wanted.reference],
         }
         last: Mapping[str, Any] = {}
         watch = threading.Thread(target=self._end_group_with, args=(worker,), daemon=True)

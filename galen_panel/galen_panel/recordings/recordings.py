@@ -10,14 +10,16 @@ import hashlib
 import os
 import re
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
 from galen_bags.formats.errors import BagError
 from galen_bags.formats.files import find_bags, read_metadata, storage_files
+from galen_diagnosis.observation.recording import RECORDING_FILES
 from galen_diagnosis.observation.rows import BAGS
+from galen_diagnosis.observation.specification import presets
 from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError, one_line
@@ -36,6 +38,8 @@ _ID_LETTERS = 16
 _HEAD_BYTES = 4096
 _GONE = "That recording is not on the list any more. Look again."
 _NO_TOOL = "That calibration file is not there any more. Choose another one."
+_NO_SPECIFICATION = "That specification is not on the list. Choose another one."
+_NO_REFERENCE = "What to compare with is not on the list any more. Look again."
 _NEVER_NS = 2**63 - 1  # rosbag2's start of a bag without messages
 _BEGAN = re.compile(rb"starting_time:\s*nanoseconds_since_epoch:\s*(\d{1,19})\b")
 
@@ -87,9 +91,14 @@ class Recordings:
         tools_dir: Path,
         output_dir: Path,
         arm: Callable[[], Arm] = lambda: GALEN,
+        specification: Sequence[str] = (),
     ) -> None:
-        """`arm()`: of the calibration files, and of recordings that don't describe theirs."""
+        """`arm()`: of the calibration files, and of recordings that don't describe theirs.
+
+        specification: presets and files that a diagnosis takes unless others are chosen.
+        """
         self._arm = arm
+        self.specification = tuple(specification)
         self.bags_dir, self.tools_dir = bags_dir, tools_dir
         self.problem = ""
         self.reports = Reports(output_dir)
@@ -132,15 +141,40 @@ class Recordings:
             return []
         return tool_choices(recording, self.bags_dir, self.tools_dir, self._arm())
 
-    def start(self, recording_id: str, tool_id: str) -> CallAnswer:
-        """Evaluate a bag, diagnose a diagnosis recording; ids as they were given to the browser."""
+    def specifications(self) -> list[str]:
+        """List what a diagnosis can take for healthy: the panel's own files, and all presets."""
+        return list(dict.fromkeys((*self.specification, *presets())))
+
+    def references(self, recording_id: str) -> list[FoundRecording]:
+        """List the other diagnosis recordings, newest first: what one can be compared with."""
+        return [one for one in self._found or () if one.parts and one.id != recording_id]
+
+    def start(
+        self,
+        recording_id: str,
+        tool_id: str,
+        specification: Sequence[str] = (),
+        reference_ids: Sequence[str] = (),
+    ) -> CallAnswer:
+        """Evaluate a bag, diagnose a diagnosis recording; ids as they were given to the browser.
+
+        specification, reference_ids: of a diagnosis, as `specifications` and `references` list
+        them.
+        """
         recording = self._get(recording_id)
         if recording is None:
             return CallAnswer(False, _GONE)
-        # Files may have changed since they were listed.
-        problem = look_at(recording, self.bags_dir).problem
-        if problem:
-            return CallAnswer(False, f"{recording.name} can't be used. {problem}")
+        if not set(specification) <= set(self.specifications()):
+            return CallAnswer(False, _NO_SPECIFICATION)
+        offered = self.references(recording_id)
+        if not set(reference_ids) <= {one.id for one in offered}:
+            return CallAnswer(False, _NO_REFERENCE)
+        references = [one for one in reversed(offered) if one.id in reference_ids]
+        for one in (recording, *references):
+            # Files may have changed since they were listed.
+            problem = look_at(one, self.bags_dir).problem
+            if problem:
+                return CallAnswer(False, f"{one.name} can't be used. {problem}")
         tool = next((one for one in self.tools(recording_id) if one.id == tool_id), None)
         if tool is None:
             return CallAnswer(False, _NO_TOOL)
@@ -155,6 +189,8 @@ class Recordings:
                 tool=tool.label,
                 calibration_path=None if own else tool.path,
                 arm=self._arm(),
+                specification=tuple(specification),
+                reference=tuple(one.path for one in references),
             )
         )
 
@@ -184,7 +220,7 @@ def look_at(recording: FoundRecording, directory: Path) -> Details:
     parts = {part.path.name: _look_at_bag(part.path, directory, root) for part in recording.parts}
     problems = [f"{name}: {part.problem}" for name, part in parts.items() if part.problem]
     # A diagnosis opens whatever has these names, also what is no bag and so was not found.
-    for entry in (*(recording.path / name for name in BAGS), recording.path / TOOL_BESIDE):
+    for entry in (recording.path / name for name in (*BAGS, *RECORDING_FILES)):
         if entry.name not in parts and entry.exists() and leads_out(entry, root):
             problems.append(f"{entry.name} is a link that leads out of {directory}.")
     lengths = [part.duration_s for part in parts.values() if part.duration_s is not None]

@@ -74,7 +74,10 @@ _MOST_BYTES = 64 << 20
 
 @dataclass(frozen=True)
 class StoredReport:
-    """A report; made_at: RFC 3339; recording, tool: names for a person."""
+    """A report; made_at: RFC 3339; recording, tool: names for a person.
+
+    since: names of the recordings that a diagnosis compares with; empty for none.
+    """
 
     id: str
     kind: str
@@ -84,6 +87,7 @@ class StoredReport:
     made_at: str
     verdict: str
     sentence: str
+    since: str = ""
 
     @property
     def verdict_words(self) -> tuple[NodeLevel, str]:
