@@ -217,7 +217,7 @@ def _several(label: str, tooltip: str) -> ui.select:
     chosen.props("outlined use-chips").classes("w-full")
     with chosen:
         # Above: below is the list that opens.
-        ui.tooltip(tooltip).props("anchor='top middle' self='bottom middle' max-width=30rem")
+        ui.tooltip(tooltip).props("anchor='top middle' self='bottom middle'")
     return chosen
 
 
