@@ -39,8 +39,8 @@ from galen_validation.blind.labels import beside, open_labels, published_sha256
 from galen_validation.blind.score import Answered, read_answers, score
 from galen_validation.blind.table import fill, tables
 
-_NOTES = """A recording takes some 20 MB, 10 to 40 s to make and 10 to 30 s to diagnose on one processor.
-An interrupted make or run goes on if it is called again with the same options."""
+_NOTES = """A recording takes some 20 MB, 10 to 40 s to make and 10 to 30 s to diagnose, on one
+processor. An interrupted make or run goes on if it is called again with the same options."""
 
 
 def build_parser() -> argparse.ArgumentParser:

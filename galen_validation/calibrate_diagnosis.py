@@ -205,11 +205,12 @@ def main(args: Sequence[str] | None = None) -> int:
         description=__doc__.split("\n")[0],
     )
     parser.add_argument("cases", type=Path, help="folder that keeps what came out of each case")
-    parser.add_argument("--per-class", type=int, default=4, help="turns over all kinds (4)")
+    parser.add_argument(
+        "--per-class", type=int, default=4, help="turns over all kinds (4); 0: make no more cases"
+    )
     parser.add_argument(
         "--part", type=_part, default=(0, 1), metavar="I/N", help="make only every Nth case"
     )
-    parser.add_argument("--fit-only", action="store_true", help="make no more cases")
     parser.add_argument("--write", action="store_true", help="write the package's calibration.json")
     given = parser.parse_args(args)
     return run_command(parser.prog, lambda: _run(given))
@@ -226,17 +227,16 @@ def _run(given: argparse.Namespace) -> int:
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     given.cases.mkdir(parents=True, exist_ok=True)
     part, parts = given.part
-    if not given.fit_only:
-        mine = plan(given.per_class)[part::parts]
-        for case in tqdm(mine, unit="case", disable=not sys.stderr.isatty()):
-            path = given.cases / f"{case.seed}.json"
-            if not path.exists():
-                try:
-                    content = collect(case)
-                except GalenError as error:
-                    print(f"{case}: {error}", file=sys.stderr)
-                    continue
-                write_whole(path, json.dumps(content))
+    mine = plan(given.per_class)[part::parts]
+    for case in tqdm(mine, unit="case", disable=not sys.stderr.isatty()):
+        path = given.cases / f"{case.seed}.json"
+        if not path.exists():
+            try:
+                content = collect(case)
+            except GalenError as error:
+                print(f"{case}: {error}", file=sys.stderr)
+                continue
+            write_whole(path, json.dumps(content))
     files = sorted(given.cases.glob("*.json"))
     if not files:
         raise GalenError(f"{given.cases}: no cases to calibrate on")
