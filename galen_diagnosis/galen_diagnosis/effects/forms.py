@@ -15,6 +15,7 @@ import numpy as np
 from galen_model.arrays import Array
 from galen_model.estimation.evidence import Background, Evidence, evidence
 from galen_sim_driver.effects.effect import Effect
+from galen_sim_driver.effects.joints import JointZeroOffset
 
 from galen_diagnosis.effects.candidates import Candidate
 from galen_diagnosis.effects.diagnosed_effect import Sizes
@@ -26,8 +27,12 @@ from galen_diagnosis.observation.rows import CHANNELS, TIP_AXES
 _ZERO_N, _ZERO_NM = 0.1, 2e-3
 """How far the sensor's zero may lie off, beside what its drift makes of it."""
 
-_PLACE_M, _PLACE_RAD = 0.05e-3, 0.08e-3
-"""How well the joints tell where the tip is, from one place of the arm to another: its geometry."""
+_PLACE_M, _PLACE_RAD = 0.5, 0.8
+"""How well the joints tell where the tip is, from one place of the arm to another: its geometry.
+
+By what its joints' zeros may be off, rad.
+"""
+_LEAST_ZERO_RAD = 0.1e-3
 
 
 def candidates(observation: Observation) -> list[Candidate]:
@@ -157,7 +162,8 @@ def background(
     places = _place_columns(observation)
     parts = [unknowns, places]
     std = [np.array([_ZERO_N] * 3 + [_ZERO_NM] * 3 + [np.inf] * 12)]
-    std.append(np.tile([_PLACE_M] * 3 + [_PLACE_RAD] * 3, places.shape[1] // 6))
+    place = _zero_rad(observation) * np.array([_PLACE_M] * 3 + [_PLACE_RAD] * 3)
+    std.append(np.tile(place, places.shape[1] // 6))
     each: list[tuple[Candidate, slice]] = []
     count = 0
     for one, values in columns:
@@ -202,6 +208,16 @@ def _tolerance(observation: Observation, one: Candidate) -> Sizes | None:
     if sizes is None or recording.earlier is None or not of_file:
         return sizes
     return tuple(DAY_TO_DAY * np.atleast_1d(np.asarray(sizes)))
+
+
+def _zero_rad(observation: Observation) -> float:
+    """Return how far the zeros of a healthy arm's joints may be off: a standard deviation, rad."""
+    recording = observation.recording
+    each = [
+        recording.specification.std(JointZeroOffset.name, (name,))
+        for name in recording.arm.turning_names
+    ]
+    return max([_LEAST_ZERO_RAD, *(std[0] for std in each if std is not None)])
 
 
 def _place_columns(observation: Observation) -> Array:
