@@ -251,7 +251,7 @@ def test_the_client_from_end_to_end_and_its_ctrl_c(tmp_path):
 
     here = ["--positions", *map(str, POSITIONS[:5]), "--sets", "1", "--forces-n", "8"]
     with Harness() as harness:
-        CollectionWorld(harness, tmp_path)
+        CollectionWorld(harness, tmp_path, speed=1.0)  # a busy machine loses samples at more
         with client(harness, "monday", "--by-service", "--json", *here) as process:
             out, error = process.communicate(timeout=120.0)
         assert process.returncode == 0, error

@@ -276,6 +276,18 @@ def test_an_arm_that_gives_way_spoils_the_push():
     failed(world.run(), ErrorCode.NO_PUSHES, "roll moved by", "admittance")
 
 
+def test_stamps_that_jump_all_the_time_end_it_with_the_reason():
+    """On a machine that loses samples there is never a second without a jump."""
+    world = World()
+
+    def jumps(world):
+        world.arm.skip_ns = 200_000_000 if world._steps % 40 == 0 else 0
+        return False
+
+    world.run(in_state(State.CALIBRATION))
+    failed(world.run(jumps), ErrorCode.NOT_UNTOUCHED, "when calibrating", "jumped by")
+
+
 def test_a_jump_of_the_stamps_spoils_the_push_and_is_told():
     world = World()
     world.run(in_state(State.HOLD))

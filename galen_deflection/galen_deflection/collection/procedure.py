@@ -414,6 +414,7 @@ class CollectionProcedure(GoalProcedure):
         self._seen_jumps = self._clock.jumps
         if self._no_contact is not None:
             self._no_contact.begin_again()
+            self._no_contact.complaint = self._clock.last_jump
         self._window.clear()
         self._spoil(self._clock.last_jump)
 
