@@ -79,8 +79,10 @@ Generate = Callable[[Case, Path], Truth]
 _RULES = """# A blind set of recordings
 
 Each folder in `recordings/` holds the bags `sweep`, `motion` and `push` (MCAP; some have no `push`)
-of an arm with a force/torque sensor, `tool.json` (the tool as it was calibrated) and `arm.urdf`.
-Each hides one cause of the gap between arm and model, two, one that is on no list, or none.
+of an arm with a force/torque sensor, `tool.json` (the tool as it was calibrated), `arm.urdf` and,
+of half of the arms, `specification.json` (limits of what is healthy; the others are carefully
+calibrated). Each hides one to five causes of the gap between arm and model, one that is on no list,
+or none. What lies within its limit is no cause.
 
 1. Answer from these files alone, each recording by itself. No answer may depend on another
    recording, on file times or names, or on a simulation with this set's seed.

@@ -19,8 +19,8 @@ from galen_sim_driver.effects.registry import effect_from
 from galen_sim_driver.replay import Replay, Scene
 
 from galen_validation.blind import causes, measuring, mujoco_arm, session, unlisted
-from galen_validation.blind.case import STRENGTHS, Case, generate, observed
-from galen_validation.blind.causes import catenary, listed, twins
+from galen_validation.blind.case import STRENGTHS, Case, generate, observed, over_limit
+from galen_validation.blind.causes import Cause, catenary, listed, twins
 from galen_validation.blind.measuring import Measurement, draw_tolerance, write_recording
 from galen_validation.blind.mujoco_arm import (
     DECAY,
@@ -458,3 +458,32 @@ def test_a_session_depends_on_its_seed_and_not_on_the_bags_recorded(bag):
     np.testing.assert_array_equal(whole.wrench.stamp_s, alone.wrench.stamp_s)
     at_s = np.linspace(0.0, whole.end_s, 50)
     np.testing.assert_array_equal(whole.course(at_s), alone.course(at_s))
+
+
+def test_a_usual_arm_is_drawn_within_the_limits_that_its_recording_states(tmp_path):
+    generate(Case(5, "none", bags=("sweep",), arm="galen_usual"), tmp_path / "made")
+    specification = read_recording(tmp_path / "made").specification
+    drawn = draw_tolerance(5, arm=GALEN, usual=True)
+    for effect, kind in (("axis_gain", "sensor_gain"), ("joint_zero_offset", "zero_rad")):
+        limit = specification.limit(effect)
+        assert 0.1 * limit < np.max(np.abs(drawn[kind])) <= limit
+    assert specification.limit("axis_gain") == pytest.approx(4e-3)
+    assert np.max(np.abs(drawn["crosstalk"])) > 0.0 == np.max(np.abs(NOMINAL["crosstalk"]))
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "truth", "over"),
+    [
+        ("joint_zero_offset:tilt", -0.003, {"joint": "tilt", "offset_rad": -0.003}, 3.0),
+        ("axis_gain", 0.02, {"gain": [0.0, -0.02, 0.01, 0.0, 0.0, 0.0]}, 5.0),
+        # Of a force to a torque a limit counts with a lever of 0.1 m.
+        ("crosstalk", 1.0, {"from": "fx", "to": "tz", "coefficient": 0.0004}, 2.0),
+        ("crosstalk", 1.0, {"from": "tx", "to": "fz", "coefficient": 0.04}, 2.0),
+        ("bias_step", 4.0, {}, np.inf),
+    ],
+)
+def test_how_many_times_its_limit_a_cause_is(name, size, truth, over):
+    limits = {"joint_zero_offset": 0.001, "axis_gain": 0.004, "crosstalk": 0.002}
+    cause = Cause(name, size, 10.0, lambda size, measured: truth)
+    assert over_limit(cause, truth, limits) == pytest.approx(over)
+    assert over_limit(cause, truth, None) == np.inf
