@@ -11,13 +11,17 @@ OWN = np.diag([0.03, -0.04, 0.02, 0.0, 0.0, 0.0])
 """What this sensor reads wrong on both days."""
 
 
-def table(path, seed, more=None, count=24):
+def table(path, seed, more=None, count=24, along_axes=False, drift=0.0):
     draws = np.random.default_rng(seed)
     direction = draws.standard_normal((count, 3))
+    if along_axes:  # as readings are taken by hand: a few directions, again and again
+        direction = np.vstack([np.eye(3), -np.eye(3)[1:]])[np.arange(count) % 5]
     gravity = 9.80665 * direction / np.linalg.norm(direction, axis=1, keepdims=True)
     force = 0.9 * gravity
     wrench = np.hstack([force, np.cross([0.0, 0.01, 0.05], force)])
     wrench = wrench + wrench @ OWN.T + (0.0 if more is None else wrench @ more.T)
+    course = np.cumsum(draws.standard_normal((count, 6)), axis=0) / np.sqrt(count)
+    wrench = wrench + drift * course
     noise = draws.standard_normal(wrench.shape) * ([0.02] * 3 + [0.001] * 3)
     rows = np.hstack([wrench + noise + draws.standard_normal(6), gravity])
     np.savetxt(path, rows, delimiter=",", header=NAMES, comments="")
@@ -46,6 +50,36 @@ def test_only_what_was_added_since_is_a_cause(tmp_path, capsys):
     same = table(tmp_path / "same.csv", 3)
     found, code = answer(tmp_path, capsys, same, "--reference", earlier)
     assert code == 0 and found["verdict"] == "none"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("effect", ["crosstalk", "tool_mass_error"])
+def test_readings_under_the_same_gravity_tell_of_each_other(tmp_path, capsys, effect):
+    """What shows under one direction of gravity alone is found, though no other predicts it."""
+    earlier = table(tmp_path / "earlier.csv", 1, count=15, along_axes=True)
+    added = np.zeros((6, 6))
+    if effect == "crosstalk":
+        added[1, 0] = 0.03
+    else:
+        added[:3, :3] = -0.03 * np.eye(3)  # a part is missing at the sensor's own centre
+    later = table(tmp_path / "later.csv", 2, added, count=15, along_axes=True)
+    found, code = answer(tmp_path, capsys, later, "--reference", earlier)
+    assert code == 0
+    (cause,) = found["causes"]
+    assert cause["effect"] == effect
+    if effect == "tool_mass_error":
+        assert cause["parameters"]["delta_kg"]["value"] == pytest.approx(-0.027, rel=0.1)
+
+
+@pytest.mark.slow
+def test_a_drift_that_the_reference_has_too_is_no_change(tmp_path, capsys):
+    earlier = table(tmp_path / "earlier.csv", 1, count=40, drift=0.3)
+    later = table(tmp_path / "later.csv", 2, count=40, drift=0.3)
+    found, code = answer(tmp_path, capsys, later, "--reference", earlier)
+    assert code == 0 and found["verdict"] == "none"
+    drifts = table(tmp_path / "drifts.csv", 3, count=40, drift=3.0)
+    found, code = answer(tmp_path, capsys, drifts, "--reference", earlier)
+    assert code == 0 and found["verdict"] != "none"
 
 
 @pytest.mark.parametrize("count", [4, 5])

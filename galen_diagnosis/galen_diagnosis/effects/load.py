@@ -41,6 +41,16 @@ def _load_in_mujoco(effect: Effect, parts: MujocoParts) -> None:
     parts.tool = Load(mass_kg, com_m[0])
 
 
+def _mass_in_table(plant: TablePlant) -> list[Columns] | str:
+    """Return a mass added at the load's centre, and one at the sensor's, without a torque."""
+    ways = by_simulator(simulated.ToolMassError(), of_the_load=True)(plant)
+    if isinstance(ways, str):
+        return ways
+    (same_centre,) = ways
+    forces = np.repeat([1.0, 0.0], 3)[:, None]
+    return [same_centre, replace(same_centre, values=same_centre.values * forces)]
+
+
 TOOL_MASS_ERROR = DiagnosedEffect(
     name=simulated.ToolMassError.name,
     title="tool's mass",
@@ -49,7 +59,7 @@ TOOL_MASS_ERROR = DiagnosedEffect(
     healthy=True,
     file_std=lambda tool: max(min(float(tool.load.mass_std_kg), _MASS_KG), _LEAST),
     of_the_tool=True,
-    in_table=by_simulator(simulated.ToolMassError(), of_the_load=True),
+    in_table=_mass_in_table,
     in_file=_mass_added,
     in_mujoco=_load_in_mujoco,
     mujoco="the load's `<inertial mass>`",

@@ -78,16 +78,15 @@ def _gains_on_gains(effect: simulated.AxisGain, file: FileParts, variances: Arra
 
 
 def _gains_in_table(plant: TablePlant) -> list[Columns]:
-    """Return the gains of all axes, of each alone, and of the three forces alike."""
+    """Return the gains of all axes, and of each alone."""
     whole = plant.columns(simulated.AxisGain())
     typical = simulated.AxisGain.fitted[0].typicals
 
-    def alike(axes: Array) -> Columns:
-        values = (whole.values @ axes)[:, :, None]
-        return Columns(values, {"gain": lambda w: typical * axes * w[0]})
+    def one(axis: Array) -> Columns:
+        values = (whole.values @ axis)[:, :, None]
+        return Columns(values, {"gain": lambda w: typical * axis * w[0]})
 
-    forces = np.repeat([1.0, 0.0], 3)
-    return [whole, *map(alike, np.eye(6)), alike(forces)]
+    return [whole, *map(one, np.eye(6))]
 
 
 AXIS_GAIN = DiagnosedEffect(

@@ -192,7 +192,7 @@ def _parameters(evidence: BlockEvidence, best: BlockHypothesis) -> list[tuple[st
         part = slice(at, at + way.size)
         mean, covariance = best.fit.values[part], best.fit.covariance[part, part]
         drawn = random.multivariate_normal(mean, covariance, _DRAWS, method="eigh")
-        folds = [fit.values[part] for ways, fit in best.folds if ways[place] is way]
+        folds = [weights[part] for ways, weights in best.folds if ways[place] is way]
         parameters: dict[str, Any] = dict(way.words)
         for name, number in way.parameters.items():
             numbers = _interval(number, mean, drawn, folds)

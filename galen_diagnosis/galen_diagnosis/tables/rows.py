@@ -37,6 +37,10 @@ _FEWEST_BLOCKS = 4
 _LEAST_FREEDOM = 2
 _MAPPED = "gravity", "wrench"
 _SAME_GRAVITY_RAD = 0.03
+_MOST_VISITS = 60
+_MOST_COURSES = 8
+_SIGMAS = 3.0
+"""Of an autocorrelation, by chance."""
 _WIDE = np.array([10.0, 1.0, 1.0, 1.0, *[100.0] * 3, *[10.0] * 3])
 """Mass (kg), first moments (kg.m), constants: nothing is known of them."""
 _LONGEST_CURVE_S = 3.0
@@ -55,6 +59,10 @@ class Floor:
     alike: float
     memory_s: float
     source: str
+
+    def alone(self, step_s: float) -> float:
+        """Return which part of readings, step_s apart, tells as much as independent ones would."""
+        return 1.0 / (1.0 + 2.0 * self.alike / np.expm1(step_s / self.memory_s))
 
 
 def prepare_table(
@@ -82,7 +90,7 @@ def prepare_table(
         if table.time is None:
             notes.append("the order of readings is taken for time")
         floor = _floor_of_readings(averaged, noise)
-    block, labels = _blocks(averaged)
+    block, labels = _blocks(averaged, apart=bool(references))
     if len(labels) < _FEWEST_BLOCKS:
         raise GalenError(
             f"{table.path}: {len(labels)} blocks of readings; holding some out takes"
@@ -172,7 +180,8 @@ def _nominal_since(
 
     What is nominal is a map of gravity, w = A g + b, fitted to earlier tables channel by channel:
     the load with whatever a sensor's own gains, axes and mount make of it. Each table has its own
-    b, since a sensor's zero changes from day to day. The floor is what that leaves of them.
+    b, since a sensor's zero changes from day to day. The floor is what that leaves of them, and
+    how it goes on from reading to reading: a drift that earlier tables have is no change.
     """
     assert table.time is not None
     gravity, wrench = (np.concatenate([getattr(one, of) for one in earlier]) for of in _MAPPED)
@@ -191,21 +200,68 @@ def _nominal_since(
         )
     cofactor = np.linalg.inv(design.T @ design)
     fitted = cofactor @ design.T @ wrench
-    std = np.sqrt(np.sum((wrench - design @ fitted) ** 2, axis=0) / freedom)
+    residual = wrench - design @ fitted
+    alike, memory_s = _memory(residual, np.concatenate([_seconds(one) for one in earlier]), which)
     moments, _ = plain_least_squares(gravity, wrench)
     if not moments[0] > 0.0:
         raise GalenError(f"{earlier[0].path}: the load would weigh {moments[0]:.3g} kg")
     load = Load(float(moments[0]), moments[1:] / moments[0])
     expected = table.gravity @ fitted[:3]
     offset = (table.wrench - expected).mean(axis=0)
-    values = np.zeros((len(table), 6, 24))
+    source = f"what gravity leaves of {len(design)} readings of the reference"
+    floor = Floor(np.sqrt(np.sum(residual**2, axis=0) / freedom), alike, memory_s, source)
+    std = floor.std / np.sqrt(floor.alone(_step_s(earlier[0])))
+    drift, white = _drift(table.time, alike, memory_s)
+    values = np.zeros((len(table), 6, 24 + 6 * drift.shape[1]))
     open_ = table.gravity @ np.linalg.cholesky(cofactor[:3, :3])
     for channel in range(6):
         values[:, channel, 3 * channel : 3 * channel + 3] = std[channel] * open_
         values[:, channel, 18 + channel] = _WIDE[4 + channel]
-    source = f"what gravity leaves of {len(design)} readings of the reference"
+        values[:, channel, 24 + channel :: 6] = floor.std[channel] * drift
+    floor = replace(floor, std=white * floor.std, alike=0.0)
     plant = TablePlant(table, table.time - table.time[0], load, offset)
-    return plant, Columns(values, {}), Floor(std, 0.0, 1.0, source), expected + offset
+    return plant, Columns(values, {}), floor, expected + offset
+
+
+def _drift(time_s: Array, alike: float, memory_s: float) -> tuple[Array, float]:
+    """Return courses (n, k) of a drift with weights of one, and what they leave white of it all.
+
+    The leading eigenvectors of alike exp(-|t - t'| / memory_s).
+    """
+    apart = np.abs(time_s[:, None] - time_s[None, :]) / memory_s
+    value, vectors = np.linalg.eigh(alike * np.exp(-apart))
+    most = np.argsort(value)[::-1][: _MOST_COURSES if alike else 0]
+    courses = vectors[:, most] * np.sqrt(np.maximum(value[most], 0.0))
+    return courses, float(np.sqrt(1.0 - np.sum(value[most]) / len(time_s)))
+
+
+def _seconds(table: OrientationTable) -> Array:
+    assert table.time is not None
+    return table.time
+
+
+def _step_s(table: OrientationTable) -> float:
+    return float(np.median(np.diff(_seconds(table))))
+
+
+def _memory(residual: Array, time_s: Array, which: np.ndarray) -> tuple[float, float]:
+    """Return how residuals (n, 6) hang together: alike exp(-dt / memory_s), alike and memory_s.
+
+    By their autocorrelation, the mean over channels, up to where it falls to 1 / e of its first.
+    """
+    scaled = residual / np.maximum(residual.std(axis=0), 1e-300)
+    step_s = float(np.median(np.diff(time_s)[np.diff(which) == 0]))
+
+    def correlation(lag: int) -> float:
+        return float(np.mean((scaled[lag:] * scaled[:-lag])[which[lag:] == which[:-lag]]))
+
+    first = correlation(1)
+    if first < _SIGMAS / np.sqrt(scaled.size):
+        return 0.0, 1.0
+    lag = 1
+    while lag < len(scaled) // 4 and correlation(lag) > first / np.e:
+        lag += 1
+    return min(first * float(np.exp(1.0 / lag)), 0.99), lag * step_s
 
 
 def _nominal(table: OrientationTable, tool: CalibrationFile | None) -> tuple[TablePlant, Columns]:
@@ -231,7 +287,7 @@ def _nominal(table: OrientationTable, tool: CalibrationFile | None) -> tuple[Tab
     return TablePlant(table, at_s, load, offset), columns
 
 
-def _blocks(table: OrientationTable) -> tuple[np.ndarray, tuple[str, ...]]:
+def _blocks(table: OrientationTable, *, apart: bool = False) -> tuple[np.ndarray, tuple[str, ...]]:
     if table.block is not None:
         labels = tuple(dict.fromkeys(table.block.tolist()))
         return np.array([labels.index(label) for label in table.block.tolist()]), labels
@@ -243,6 +299,10 @@ def _blocks(table: OrientationTable) -> tuple[np.ndarray, tuple[str, ...]]:
         if not near:
             first.append(row)
         block[row] = near[0] if near else len(first) - 1
+    visit = np.cumsum(np.diff(block, prepend=block[0]) != 0)
+    visits = int(visit[-1]) + 1
+    if apart and _FEWEST_BLOCKS <= visits <= _MOST_VISITS:
+        return visit, tuple(f"visit {k + 1}" for k in range(visits))
     if _FEWEST_BLOCKS <= len(first) <= 0.5 * len(unit):
         names = [", ".join(f"{v:+.1f}" for v in unit[at] + 0.0) for at in first]
         return block, tuple(f"gravity along ({name})" for name in names)

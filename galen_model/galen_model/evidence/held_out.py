@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -147,8 +147,8 @@ class BlockHypothesis:
     """Some effects, and whether noise alone is what they leave.
 
     ways, fit: as fitted to all blocks; forms (C,): of the noise. elpd (B,): log density of each
-    block by the others. folds: of each block, the ways and the fit that the others chose. kept: the
-    sets of ways that are not negligible.
+    block by the others. folds: of each block, the ways and the weights that the others chose.
+    kept: the sets of ways that are not negligible.
     """
 
     effects: tuple[str, ...]
@@ -157,8 +157,50 @@ class BlockHypothesis:
     fit: Posterior
     forms: np.ndarray
     elpd: Array
-    folds: tuple[tuple[tuple[Columns, ...], Posterior], ...]
+    folds: tuple[tuple[tuple[Columns, ...], Array], ...]
     kept: tuple[tuple[Columns, ...], ...]
+
+
+def _present(columns: Array, channel: int) -> np.ndarray:
+    """Return which of columns (n, C, k) a channel has, (a,)."""
+    return np.flatnonzero(np.any(columns[:, channel] != 0.0, axis=0))
+
+
+class _ByChannel(NamedTuple):
+    """Sums over rows of k columns: of each channel the columns that it has, by form and block.
+
+    size: k; each: places (a,) of a channel's columns among all, and their sums, (F, B).
+    """
+
+    size: int
+    each: tuple[tuple[np.ndarray, Information], ...]
+
+    @property
+    def separate(self) -> bool:
+        """Whether no column is of more than one channel."""
+        return bool(np.all(np.bincount(np.concatenate([at for at, _ in self.each])) <= 1))
+
+    def totals(self, sums: Sequence[Information]) -> Information:
+        """Return channels' sums over blocks, each (F,) of its own columns, among all: (C, F)."""
+        shape = (len(sums), len(sums[0].rest), self.size)
+        matrix, right = np.zeros((*shape, self.size)), np.zeros(shape)
+        for c, (at, _) in enumerate(self.each):
+            matrix[c][:, at[:, None], at] = sums[c].matrix
+            right[c][:, at] = sums[c].right
+        return Information(matrix, right, np.stack([one.rest for one in sums]))
+
+    def chosen(self, forms: np.ndarray) -> Information:
+        """Return the sums over channels, each in a form (C,) of noise, by block (B,)."""
+        parts = [part.part(form) for form, (_, part) in zip(forms, self.each, strict=True)]
+        rest = np.sum([one.rest for one in parts], axis=0)
+        matrix, right = (
+            np.zeros((len(rest), self.size, self.size)),
+            np.zeros((len(rest), self.size)),
+        )
+        for (at, _), one in zip(self.each, parts, strict=True):
+            matrix[:, at[:, None], at] += one.matrix
+            right[:, at] += one.right
+        return Information(matrix, right, rest)
 
 
 class BlockEvidence:
@@ -173,7 +215,7 @@ class BlockEvidence:
         self._nominal = nominal.values / rows.floor[None, :, None]
         self._where = [np.flatnonzero(rows.block == b) for b in range(self.blocks)]
         self._inverse: list[Array] = []  # of each block (F, m, m)
-        self._last: dict[tuple[int, ...], Information] = {}
+        self._last: dict[tuple[int, ...], _ByChannel] = {}
         log_size = np.zeros((len(self.forms), self.blocks))
         for b, where in enumerate(self._where):
             whiteners = []
@@ -188,29 +230,36 @@ class BlockEvidence:
             white = self._inverse[b] @ self.residual[where]  # (F, m, C)
             square[:, :, b] = (white**2).sum(axis=1).T
         self._rest = square + log_size + count * LOG_2PI  # (C, F, B)
+        self._white_nominal: list[tuple[np.ndarray, list[Array]]] = []
+        """Of each channel: which nominal columns it has; by block, residual and these."""
+        for c in range(len(rows.channels)):
+            at = _present(self._nominal, c)
+            both = np.concatenate([self.residual[:, [c]], self._nominal[:, c, at]], axis=1)
+            self._white_nominal.append((at, self._whitened(both)))
 
     # Sums over rows
 
-    def information(self, ways: Sequence[Columns]) -> Information:
-        """Of the nominal columns and those of `ways`: by channel, form and block (C, F, B)."""
-        values = [self._nominal, *(way.values / self.rows.floor[None, :, None] for way in ways)]
-        columns = np.concatenate(values, axis=2)  # (n, C, k)
-        channels, size = columns.shape[1:]
-        shape = (channels, len(self.forms), self.blocks, size)
-        matrix, right = np.zeros((*shape, size)), np.zeros(shape)
-        for c in range(channels):
-            active = np.flatnonzero(np.any(columns[:, c] != 0.0, axis=0))
-            if not len(active):
-                continue
-            both = np.concatenate([columns[:, c, active], self.residual[:, c, None]], axis=1)
-            for b, where in enumerate(self._where):
-                white = self._inverse[b] @ both[where]  # (F, m, a + 1)
-                gram = np.swapaxes(white, 1, 2) @ white
-                matrix[c, :, b][:, active[:, None], active] = gram[:, :-1, :-1]
-                right[c, :, b][:, active] = gram[:, :-1, -1]
-        return Information(matrix, right, self._rest)
+    def _whitened(self, columns: Array) -> list[Array]:
+        """Return columns (n, a) of one channel by block, (F, m, a)."""
+        pairs = zip(self._inverse, self._where, strict=True)
+        return [inverse @ columns[where] for inverse, where in pairs]
 
-    def _remembered(self, ways: tuple[Columns, ...]) -> Information:
+    def information(self, ways: Sequence[Columns]) -> _ByChannel:
+        """Of the nominal columns and those of `ways`, by channel, form and block."""
+        first = self.nominal.size
+        values = [way.values / self.rows.floor[None, :, None] for way in ways]
+        more = np.concatenate([np.zeros((*self.residual.shape, 0)), *values], axis=2)
+        each = []
+        for c, (at, nominal) in enumerate(self._white_nominal):
+            own = _present(more, c)
+            white = self._whitened(more[:, c, own])
+            whole = [np.concatenate(pair, axis=2) for pair in zip(nominal, white, strict=True)]
+            gram = np.stack([np.swapaxes(one, 1, 2) @ one for one in whole], axis=1)
+            part = Information(gram[..., 1:, 1:], gram[..., 1:, 0], self._rest[c])
+            each.append((np.concatenate([at, first + own]), part))
+        return _ByChannel(first + more.shape[2], tuple(each))
+
+    def _remembered(self, ways: tuple[Columns, ...]) -> _ByChannel:
         """Return what a hypothesis with and one without the floor alone share."""
         key = tuple(id(way) for way in ways)
         if key not in self._last:
@@ -223,22 +272,27 @@ class BlockEvidence:
 
     def shows(self, way: Columns) -> float:
         """How many sigma of noise the usual size of this effect is away from all nominal ones."""
-        information = self.information((way,)).matrix[:, _NOISE_AS_IT_IS].sum(axis=(0, 1))
+        forms = np.full(len(self.rows.channels), _NOISE_AS_IT_IS)
+        information = self.information((way,)).chosen(forms).total().matrix
         size = self.nominal.size
         among = information[:size, :size] + np.eye(size)
         across = information[:size, size:]
         left = information[size:, size:] - across.T @ np.linalg.solve(among, across)
         return float(np.sqrt(max(np.linalg.eigvalsh(left)[-1], 0.0)))
 
-    def _best_forms(self, of_each: Information, floor_only: bool) -> np.ndarray:
+    def _best_forms(self, of_each: _ByChannel, floor_only: bool) -> np.ndarray:
         """Of each channel (C,), by coordinate ascent of the evidence of all blocks."""
         allowed = slice(0, len(self.rows.levels) if floor_only else None)
-        whole = of_each.part((slice(None), allowed)).total()  # (C, F)
-        prior = Prior.unit(whole.right.shape[-1])
-        channels = np.arange(len(whole.right))
-        doubt = np.zeros(whole.rest.shape[1])
+        doubt = np.zeros(len(self.forms[allowed]))
         doubt[len(self.rows.levels) :] = _MORE_THAN_NOISE_NATS
-        forms = np.argmax(log_evidence(whole, prior) - doubt, axis=1)
+        sums = [part.part(allowed).total() for _, part in of_each.each]
+        alone = [log_evidence(one, Prior.unit(one.right.shape[-1])) for one in sums]
+        forms = np.argmax(np.stack(alone) - doubt, axis=1)
+        if of_each.separate:
+            return forms
+        whole = of_each.totals(sums)  # (C, F)
+        prior = Prior.unit(of_each.size)
+        channels = np.arange(len(sums))
         for _ in range(_SWEEPS):
             before = forms.copy()
             for c in channels:
@@ -265,8 +319,7 @@ class BlockEvidence:
         for ways in sets:
             of_each = self._remembered(ways)
             forms = self._best_forms(of_each, floor_only)
-            chosen = of_each.part((np.arange(len(forms)), forms))  # (C, B)
-            blocks = Information(*(part.sum(axis=0) for part in chosen))
+            blocks = of_each.chosen(forms)
             prior = Prior.unit(blocks.right.shape[-1])
             fit = posterior(blocks.total(), prior)
             if self._allowed(ways, fit):
@@ -285,10 +338,11 @@ class BlockEvidence:
         seen = np.stack(list(map(log_evidence, left_out, priors)))
         of_all = np.array([one[0] for one in kept])
         elpd = np.logaddexp.reduce(of_all) - np.logaddexp.reduce(seen, axis=0)
-        fits = list(map(posterior, left_out, priors))
         folds = []
         for b, k in enumerate(np.argmax(seen, axis=0)):
-            folds.append((kept[k][1], Posterior(*(part[b] for part in fits[k]))))
+            others = left_out[k].part(b)
+            weights = np.linalg.solve(others.matrix + priors[k].precision, others.right)
+            folds.append((kept[k][1], weights))
         return BlockHypothesis(
             effects,
             floor_only,
@@ -311,8 +365,8 @@ class BlockEvidence:
     def held_out(self, hypothesis: BlockHypothesis) -> Array:
         """Residuals (n, C) in floor units, each block by the fit to the others."""
         left = self.residual.copy()
-        for (ways, fit), where in zip(hypothesis.folds, self._where, strict=True):
-            left[where] -= self._predicted(ways, fit.values, where)
+        for (ways, weights), where in zip(hypothesis.folds, self._where, strict=True):
+            left[where] -= self._predicted(ways, weights, where)
         return left
 
     def _predicted(self, ways: Sequence[Columns], weights: Array, where: np.ndarray) -> Array:
