@@ -245,6 +245,7 @@ SENSOR_HYSTERESIS = DiagnosedEffect(
     forms=no_forms,
     columns=lagging_candidates,
     known="rough",
+    by_second=True,
     remembers=True,
     mujoco="the reading lags the load, and keeps fraction of the largest when it is gone",
     gazebo="no such thing: the same lag",
