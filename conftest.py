@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Settings of all tests that have to be made before numpy is loaded."""
 
 import os

@@ -1,4 +1,5 @@
 #!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
 """Make the sample recordings in this folder again, the same to the last bit of what they say.
 
 Each comes from the simulated driver's own core, stepped offline with a fixed seed and fixed stamps,

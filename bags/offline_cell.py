@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The simulated cell for sample bags and tests: no ROS, stepped as fast as it goes.
 
 What `sim_driver_node` and `calibration_node` do over topics and services is done here by calls,

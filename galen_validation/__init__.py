@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
 """Speed, endurance and long validation; not installed."""

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Archives of many small bags on a store like S3, on two workers of which one is killed.
 
     python -m galen_validation.archive 500 5000

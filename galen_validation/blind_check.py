@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`blind_check`: recordings with hidden causes, for any diagnosis, and what came of it.
 
 Recordings are made by an arm in MuJoCo (`blind/mujoco_arm.py`), their labels are sealed

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Calibrates the few numbers of the evidence on simulated recordings with known causes.
 
     python -m galen_validation.calibrate_diagnosis CASES [--per-class N] [--write]

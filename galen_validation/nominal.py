@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The nominal retractor and deflection models that benchmarks work with. No ROS."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The Galen by Pinocchio: the second method that closed forms are tested against."""
 
 import numpy as np

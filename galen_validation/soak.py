@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Run the nodes for long and look at what wears out: losses, memory, stamps, latency.
 
     make soak                           # an hour of simulated time, then 10 minutes at 1000 Hz

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measure how soon gravcomp_node detects a driver's mistake.
 
     python -m galen_validation.wrong_setup

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 # Source this in bash or zsh to enter the workspace's environment:  source scripts/env.sh
 # It puts ROS 2, the Python environment and the built packages on this shell's paths.
 

@@ -1,4 +1,5 @@
 #!/bin/bash
+# SPDX-License-Identifier: Apache-2.0
 # Installs Chromium and its driver from the system's packages, where they are not there yet and this
 # may be done without asking; else it says what to install. The panel's tests in a browser need
 # them, and are skipped without them; nothing else does.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Resolve requirements/*.in to exact pins with hashes in requirements/*.txt, with uv on PATH.
 
 A file holds only what the files before it do not hold, in the order of ``GROUPS``. Pins stay as

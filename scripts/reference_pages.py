@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """MkDocs hook: make the reference from the code, and order the pages by their folders.
 
 Nothing of it is committed. It needs the built packages: the nodes' parameters are read from their
@@ -34,10 +35,7 @@ def readme_pages() -> dict[str, str]:
         str(path.relative_to(ROOT)): f"reference/packages/{path.parent.name}.md"
         for path in sorted(readmes)
     }
-    for name in ("CHANGELOG.md", "CONTRIBUTING.md"):
-        if (ROOT / name).exists():
-            pages[name] = f"reference/{name.lower()}"
-    return pages | {"README.md": "readme.md"}
+    return pages | {"CONTRIBUTING.md": "reference/contributing.md", "README.md": "readme.md"}
 
 
 def relinked(text: str, source: str, page: str) -> str:

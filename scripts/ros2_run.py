@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Stand in for `ros2 run` where ROS 2 comes from PyPI, which has no `ros2` command."""
 
 from __future__ import annotations

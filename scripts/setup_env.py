@@ -1,4 +1,5 @@
 #!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
 """Make the environment, build the workspace, and run commands in it.
 
     python3 scripts/setup_env.py setup     make .venv

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Requests, goals and parameters that no node can take, made from a seed; and a world to ask in.
 
 Each request has one field or more that is wrong, so that the one right answer is "no".

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """An arm by the contract's numbers, and a driver that publishes what it is told."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Programs that stand beside the nodes in the tests of faults: python fault_processes.py WHICH.
 
 driver: an arm in motion, pushed by PUSH; every sample is a function of its stamp.

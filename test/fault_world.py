@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Nodes as processes of their own, fed by a driver in the test that can do everything wrong."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Readers of files and messages under made-up bytes and structures; what holds: fuzz/readers.py."""
 
 from __future__ import annotations

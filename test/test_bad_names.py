@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Names from users, files and messages never become paths unchecked.
 
 Every place where a name makes a path is here, or where its row says:

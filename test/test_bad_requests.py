@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Live nodes under requests, goals, parameters and messages that make no sense.
 
 All nodes that take requests run in one process, whose thread ends with the first exception in a

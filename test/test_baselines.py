@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Numbers that the suite gave before it was restructured, and must give after it.
 
 Recorded in `baselines/` by `python test/test_baselines.py --record [NAME...]`, in the environment

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every executable through its installed start script, as `ros2 run` starts it."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Faults around a calibration: canceled at every moment, two clients, a client that is killed.
 
 Driver, calibration and client are processes of their own.

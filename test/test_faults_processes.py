@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Faults of whole processes: a driver killed, two of them, a bad network, a subscriber that hangs.
 
 The driver's wrench is the tool's weight plus a known push, so what goes out must be that push.

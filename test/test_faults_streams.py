@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Faults of the streams, with gravcomp and deflection as processes: what a user then sees.
 
 In every test each wrench that went out is compared with the one read minus the tool's weight at

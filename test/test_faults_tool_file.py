@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A tool's file that breaks or changes under a gravcomp that runs, or before it starts.
 
 gravcomp is a process of its own. What was loaded stays active until a good file is asked for;

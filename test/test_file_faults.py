@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A tool's file when its writer is killed, the disk is full, the folder is closed, or links."""
 
 from __future__ import annotations

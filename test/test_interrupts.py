@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Ctrl-C while any executable imports what it needs: no traceback, exit code 130."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Layers: which modules may import ROS, and which package imports which."""
 
 import ast

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Nothing that is read is ever run; of the sources ruff's rules S... (pyproject.toml) say so."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`galen ...`: the commands of `pip install .` work on a Python without ROS."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a node in this environment listens on: nothing that another machine could reach."""
 
 import os

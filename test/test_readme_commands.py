@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Commands of READMEs, tutorials and how-tos: files are there or marked, nodes are named."""
 
 import re

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The reference's `docs/interfaces.yaml` against the nodes; a README for each package."""
 
 import importlib

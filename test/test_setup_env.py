@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Set-up and build: what is chosen, what stops it in one line, what a second run keeps."""
 
 import contextlib

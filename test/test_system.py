@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The suite as a lab runs it: separate processes over DDS, calibration through the action."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Commands whose output can't be written say so before their work, not after it."""
 
 import importlib

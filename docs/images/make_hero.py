@@ -1,4 +1,5 @@
 #!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
 """Make hero.svg: the simulated arm turns a tool, with compensation off and on.
 
 The simulated driver's plant is stepped without ROS, three times through the same turns: without

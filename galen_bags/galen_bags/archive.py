@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Archives: recordings on a store or a disk, and results that are kept one by one.
 
 A store is named by a URL (s3://, gs://, az://, https://) and read by fsspec. A recording there is

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`convert`: makes a bag of measured readings, so that nodes and commands can work on them.
 
 The compensation needs no more of the joints than the direction of gravity in the sensor's frame,

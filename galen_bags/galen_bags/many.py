@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One function over many bags, in parallel: on processes here, or on a Dask cluster.
 
 And what such a job is given: the calibration file and the name of each bag.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The timing of a replay, without ROS: when is what due, by the log times of a bag.
 
 All `now_s` are of one steady clock, in s; bag times are log times in ns.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Worker processes for `many`: here, or those of a Dask scheduler.
 
 It imports dask.distributed, which takes its time: import it only where there are many bags.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bags for tests: messages made by the library rosbags, and files of every kind that hold them."""
 
 from __future__ import annotations

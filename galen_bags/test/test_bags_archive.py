@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Archives on a store like S3 on this machine, and results that are kept one by one."""
 
 import argparse

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """An arm's joint states and wrenches out of a bag: which topics, which samples, what is wrong."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The checksum covers all that a bag holds, and nothing of how it is stored."""
 
 import hashlib

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measured tables as bags: gravity's direction by roll and tilt, stamps, errors by name."""
 
 from pathlib import Path

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The bag that a recording grows: what is in it when it is cut off, or the disk is full."""
 
 import errno

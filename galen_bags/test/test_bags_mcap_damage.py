@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """MCAP files that were cut off, damaged, or made to do harm."""
 
 import random

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Messages are decoded as the library rosbags decodes them, to the last bit."""
 
 import random

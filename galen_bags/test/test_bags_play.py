@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The player over real rclpy: what goes out, in which order, and how it ends."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bags of every kind are read as the library rosbags reads them, message by message."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The recorder over real rclpy: bytes and times as they came, topics as they come, its ends."""
 
 import json

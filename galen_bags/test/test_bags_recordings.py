@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every message of the project's recordings, compared with what rosbags makes of it."""
 
 import json

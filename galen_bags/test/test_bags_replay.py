@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The timing of a replay, by a clock that the tests turn themselves."""
 
 import time

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Counts of a recording, definitions of types, arguments of the commands, without ROS."""
 
 from pathlib import Path

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a user's program does with the arm: watch it, move it, call its services."""
 
 from __future__ import annotations

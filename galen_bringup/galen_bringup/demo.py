@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`demo`: the whole way on the simulated arm, through the nodes that a lab would use.
 
 Starts driver, calibration and compensation as processes of their own, calibrates both tools through

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The arguments that both launch files have, with their defaults."""
 
 from __future__ import annotations

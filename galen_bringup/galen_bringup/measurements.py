@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the demonstration measures: residual weight at unseen poses, drift in admittance mode.
 
 For the drift the arm follows one and the same trajectory three times: with admittance off (that is

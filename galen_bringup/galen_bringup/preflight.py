@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`preflight`: whether a robot has what the suite needs, and what to fix where it has not.
 
 Receives `joint_states`, `wrench_raw` and `robot_description` for some seconds, whatever their

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The suite's executables as processes of their own, each with a log and ended by its id.
 
 On a full ROS 2 `ros2 launch` does this; a demonstration has to run without it, too, and in a ROS

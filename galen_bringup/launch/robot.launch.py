@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Calibration and compensation on an arm that is already up; deflection and panel if asked for.
 
     ros2 launch galen_bringup robot.launch.py tool:=pointer wrench_raw:=/ft_sensor/wrench

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Simulated arm, calibration and compensation; deflection if a model is given, panel if asked for.
 
 ros2 launch galen_bringup simulation.launch.py speed_factor:=5 tool:=pointer panel:=true

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The demonstration ends with one line and without leaving a process behind."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the launch files start; recorders stand in for `launch`, which PyPI does not have."""
 
 import runpy

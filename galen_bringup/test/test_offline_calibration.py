@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A calibration and its recording: what is found live, and what the recording gives afterwards."""
 
 import dataclasses

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The cell without ROS: a calibration from the plant's samples, its ends, what a bag gets."""
 
 import dataclasses

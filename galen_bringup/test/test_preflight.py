@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`preflight`: each fault of a robot is found and named, and a healthy robot passes."""
 
 import argparse

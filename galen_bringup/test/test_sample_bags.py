@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The recordings in bags/: they are what README says, small, and made again the same."""
 
 import dataclasses

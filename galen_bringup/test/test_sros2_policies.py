@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The SROS 2 policies against what the nodes have in the graph: nothing lacks, nothing is more."""
 
 import gc

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`calibrate_from_bag`: a tool's calibration file out of recordings. Needs no ROS and no arm."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The executables; each imports its module when it starts."""
 
 from galen_common.executable import Executable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A small arm, sensor and hand for the tests: no ROS, no limits, exact physics plus noise."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recordings made in memory for the tests: still poses, moves and hands, by exact physics."""
 
 from pathlib import Path

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The pointer's file as a calibration on FakeArm leaves it, for the tests of the check."""
 
 import numpy as np

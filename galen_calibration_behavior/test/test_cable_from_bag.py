@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`calibrate_from_bag --estimate cable`: from a sweep to the tool's file, and where it can't."""
 
 import functools

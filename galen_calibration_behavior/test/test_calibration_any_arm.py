@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Calibration and check of a six-axis arm from where it stands, against a small arm."""
 
 import dataclasses

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A recording as another robot's driver makes it: other topics, frame and joints, and its URDF."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A calibration by hand: an operator who turns the six-axis arm as the feedback asks."""
 
 import re

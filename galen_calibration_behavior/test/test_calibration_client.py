@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`calibrate`, and both ends as processes of their own."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`calibrate_from_bag` on the sample recordings, and on those of a lab where they are there."""
 
 import io

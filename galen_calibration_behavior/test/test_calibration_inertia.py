@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`calibrate_from_bag --estimate inertia`: the file gets it and keeps the rest, or is as it was."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sensor and mounting in a calibration: written, told, rejected."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The action server with real rclpy, against a small driver whose stamps run 20 times too fast."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`calibrate_from_bag` from recordings made in memory to file and page."""
 
 import dataclasses

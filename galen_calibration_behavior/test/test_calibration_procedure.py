@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The state machine against a pure arm: every way through it, and out of it."""
 
 import dataclasses

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From a recording's still phases to sweeps and loads: what is found, and what is rejected."""
 
 import numpy as np

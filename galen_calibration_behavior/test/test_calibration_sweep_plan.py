@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Poses of a sweep: grid, listed and chosen ones, their order and times, boxes, the command."""
 
 import dataclasses

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A recording's still phases, averaged and judged."""
 
 import dataclasses

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The check of calibration_node and its client's words with real rclpy, against a fake driver."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The check's course against a small arm: where it goes, what it answers, how it ends."""
 
 import re

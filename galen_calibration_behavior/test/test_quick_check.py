@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The quick check's decision: what it finds of known changes, and how often it is wrong."""
 
 from dataclasses import replace

@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
 """What nodes and commands share without ROS: parameters, command layer, streams, procedures."""

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which arm a node or a command works with: a robot description's, or the Galen. No rclpy."""
 
 from __future__ import annotations

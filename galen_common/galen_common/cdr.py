@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Serialised messages without ROS: where their numbers are, reading and writing them.
 
 Converting a message to Python costs rclpy more than all of the compensation. The layout is that of

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The command layer: parser, options, output places, pages, progress, exit codes. No rclpy."""
 
 from __future__ import annotations

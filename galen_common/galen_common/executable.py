@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The start and end that all executables share: SIGINT ends them without a traceback.
 
 A package names its executables in `executables.py`, which imports nothing else: the signal is

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`galen COMMAND ...`: the commands that need no ROS, as `pip install .` installs them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Parameters as fields of a frozen dataclass: type, default, range and meaning in one place.
 
     @dataclass(frozen=True)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pairing for any arm: which joints turn is the arm's, sample by sample and as arrays."""
 
 from dataclasses import replace

@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
 """Predict how far the arm deflects under load, live and on recordings."""

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A model on live samples: wrenches and joints go in, deflections come out. No ROS.
 
 Each wrench pushed ends in exactly one way: as a `Deflected`, or as a `Rejected` that names the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`evaluate`: deflection models on recordings of pushes, and single joints from tables."""
 
 from __future__ import annotations

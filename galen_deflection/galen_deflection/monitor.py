@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Health of the deflection's node: state, rates, counts. No ROS."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`train`: recordings of pushes in, a model's file out."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A small arm, sensor, tracker and hand for the tests of the collection: no ROS, exact physics."""
 
 from dataclasses import dataclass

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The collection node with real rclpy, the simulated driver and the compensation beside it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Models with hysteresis and without, made by hand: no fit, no file of recordings."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pushes made up for tests of scores and pictures."""
 
 import numpy as np

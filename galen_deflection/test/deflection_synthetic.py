@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pushes on an arm made for the tests: positions x directions x levels, springs with Dahl friction.
 
 The friction is none of the models': P. Dahl's law (1968), in the springs' own motion, not in their

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Transmissions made for the tests, of laws that none of the models has.
 
 Springs with Dahl's friction under a torque, and lost motion that friction takes up over a length

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recordings of pushes for tests: made from the contract's formulas, with known truth."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The collection's node, client and driver together, with real rclpy."""
 
 import json

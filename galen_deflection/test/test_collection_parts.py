@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The collection's parts one by one: plan, push, marker, folder, summary, parameters."""
 
 import json

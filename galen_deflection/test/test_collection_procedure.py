@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The collection's course against a pure arm and hand: every way through it, and out of it."""
 
 import dataclasses

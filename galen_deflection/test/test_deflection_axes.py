@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The report's two models: what they recover, what they can't, live and in files."""
 
 from dataclasses import replace

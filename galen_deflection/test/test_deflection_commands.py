@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """train and evaluate, end to end on small recordings."""
 
 import json

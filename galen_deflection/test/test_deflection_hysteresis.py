@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Play operators by their properties, and joint hysteresis on friction of another law."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`evaluate` of a joint: tables in, sentences and numbers out; networks; the measured sets."""
 
 import json

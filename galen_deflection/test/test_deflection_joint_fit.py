@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Joints of known parameters, and with friction that no model has: what a fit finds."""
 
 from dataclasses import replace

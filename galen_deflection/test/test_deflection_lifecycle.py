@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The deflection as a managed node, over its own services."""
 
 import pytest

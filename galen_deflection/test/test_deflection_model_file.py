@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Model files: what is written is read; what was changed, cut or mixed is rejected by its name."""
 
 import hashlib

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Springs as a model: what they recover, what is not identifiable, how sure they are."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The network: what it learns, what it must not look at, and how it runs at any rate."""
 
 import subprocess

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node over real rclpy: what goes out, what does not, and what /diagnostics says."""
 
 from dataclasses import replace

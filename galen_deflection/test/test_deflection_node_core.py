@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The deflector without ROS: the model's own numbers, and when it keeps silent or forgets."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pushes dealt out: whole pushes with their pauses, everywhere, and no fit sees what is checked."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recordings of pushes: what is measured, and everything wrong with a recording found and cut."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The tracker's registration: truth recovered, what can't be told rejected, what's wrong told."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Splits: which sets are fitted to, which are checked; segments stay whole."""
 
 import numpy as np

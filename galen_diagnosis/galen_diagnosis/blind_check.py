@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`blind_check`: starts the checkout's `galen_validation.blind_check`, which is not installed."""
 
 from __future__ import annotations

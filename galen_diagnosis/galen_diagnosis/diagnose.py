@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`diagnose`: where data and model differ, what causes it, how far the gap shrinks.
 
 The first input decides what is diagnosed: recordings (directories), text tables of a force/torque

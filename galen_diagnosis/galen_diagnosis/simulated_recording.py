@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Makes a diagnostic recording (contract, section 5) with the simulated arm, without ROS.
 
     python -m galen_diagnosis.simulated_recording tilt --output DIR

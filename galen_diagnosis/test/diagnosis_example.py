@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A made-up recording's rows and streams, and diagnoses of it: for tests of what shows them."""
 
 from __future__ import annotations

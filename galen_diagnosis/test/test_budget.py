@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the whole gap is made of, and what has changed since an earlier recording."""
 
 import json

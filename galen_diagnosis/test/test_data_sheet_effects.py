@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What every data sheet has: eccentricity, nonlinearity, hysteresis and creep, found with sizes."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The command `diagnose`: what it writes, its exit codes, and that it never looks at the truth."""
 
 import json

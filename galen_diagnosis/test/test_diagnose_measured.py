@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Orientation tables and joints: the evidence against dense densities, planted causes, commands."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The whole diagnosis on the simulated arm; test_baselines.py has another's arm."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Diagnoses of an arm that is not the Galen: a six-axis arm from its description."""
 
 import json

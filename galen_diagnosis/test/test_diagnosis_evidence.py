@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Evidence of columns against its exact value, and a posterior's behaviour at its edges."""
 
 from types import SimpleNamespace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The noise floor of a channel: variance and colour come back, whatever smooth curve lies under."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What fits and scans do with columns and readings that aren't as they should be."""
 
 from dataclasses import replace

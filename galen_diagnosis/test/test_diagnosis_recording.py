@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a recording is read into, against which nominal model, and how effects change its rows."""
 
 import shutil

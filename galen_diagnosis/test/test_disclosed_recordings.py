@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recordings of two independent simulators, with the causes that they were made with.
 
 They lie beside the checkout, in ../shared/recordings; without them these tests skip.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a diagnosis needs of an effect is in one record."""
 
 from dataclasses import dataclass

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Effects of a general shape against their definitions."""
 
 import numpy as np

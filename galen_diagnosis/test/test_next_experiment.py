@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The experiment that separates what is left, against second methods and known twins."""
 
 from dataclasses import replace

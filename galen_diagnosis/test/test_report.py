@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The page, the pictures, the sentence, what was excluded, the driver's file."""
 
 import base64

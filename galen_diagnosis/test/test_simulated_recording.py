@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recordings by the simulated arm: what is in them, and that replay explains them to the noise."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Limits of a specification: read with checks, and what lies within is no cause."""
 
 import json

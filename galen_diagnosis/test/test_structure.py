@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a fit leaves: functions and oscillations that are no effect are seen, and noise is not."""
 
 from dataclasses import replace

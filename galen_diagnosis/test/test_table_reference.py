@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tables since an earlier one of the same sensor and load: its own errors cancel."""
 
 import json

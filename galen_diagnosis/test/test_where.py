@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where the gap lies: healthy noise has no place, a planted error has its own."""
 
 import json

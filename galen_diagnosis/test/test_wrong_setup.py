@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A wrong set-up is named before a cause is looked for; what can't be told apart is one answer."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Many samples at once: as arrays where they are regular, one by one around what is not."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Does the calibration file still fit? Asked live, while the arm is at rest without contact.
 
 Windows at rest (`galen_model.rest.windows`) of what goes out are put together to rest segments: one

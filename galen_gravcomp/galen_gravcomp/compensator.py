@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The compensator without ROS: joint and wrench samples go in, compensated wrenches come out.
 
     expected    = weight(angles) + pull of a cable   as the sensor reads them, in its own axes

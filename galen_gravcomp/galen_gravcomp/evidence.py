@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What some rest segments show of a calibration file: it fits, or what is wrong, by Bayes' rule.
 
 With u_k gravity in the sensor's frame in segment k, t_k its time before the newest one, and the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The health of the compensator's node: state, rates, latency. No ROS."""
 
 from galen_common.stream.monitor import Severity, StreamMonitor, StreamState, joined

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Parameters of the node; `evaluate` takes those that decide what becomes of a wrench."""
 
 from dataclasses import dataclass

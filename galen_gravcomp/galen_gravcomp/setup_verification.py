@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Is the set-up the one that the calibration file was made with? Asked live, of readings at rest.
 
 The tool's file says what the sensor reads at a pose, so that one rest segment without contact shows

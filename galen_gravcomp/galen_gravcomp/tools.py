@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`tools`: looks after a directory's calibration files; shows what a node has active."""
 
 from __future__ import annotations

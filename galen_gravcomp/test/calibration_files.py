@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Calibration files of tests: one tool on the contract's adapter."""
 
 import numpy as np

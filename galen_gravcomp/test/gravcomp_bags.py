@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recordings for tests: a sweep over still poses, computed from the model, written as a bag."""
 
 import numpy as np

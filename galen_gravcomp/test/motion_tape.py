@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Fast free motion of the arm, and what a sensor reads in it by Pinocchio: the second method."""
 
 import calibration_files

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Arrays of samples as a bag's messages are read, for `Compensator.push_block`."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Evaluations of recordings in which what is wrong was put in, and so is known."""
 
 import io

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A bag through the node and through `evaluate`: the same wrenches come out."""
 
 import time

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The sensor's bias drift: what is learned of it, and what never may be."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Does the tool's file still fit: reasons, recovery, and no alarm for a hand."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Cells of 0.1 s, and the rest segments in them."""
 
 import numpy as np

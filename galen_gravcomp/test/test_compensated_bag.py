@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Order and content of the bag that `evaluate --write-bags` writes, message by message."""
 
 from pathlib import Path

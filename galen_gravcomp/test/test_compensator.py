@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The compensator's core: what comes out, what is rejected and why, tare, restarts."""
 
 import itertools

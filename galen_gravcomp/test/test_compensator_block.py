@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`push_block` gives what pushing the samples one by one gives, whatever is wrong with them."""
 
 import itertools

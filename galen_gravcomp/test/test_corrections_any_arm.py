@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Each correction on a six-axis arm, on the floor and on a wall, against Pinocchio's bodies."""
 
 from dataclasses import replace

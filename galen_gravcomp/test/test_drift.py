@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`drift`: Allan deviation against analytic values, and truths that the answer must name."""
 
 import dataclasses

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node on an arm of a robot description: from the topic, from a file, and changed meanwhile."""
 
 from pathlib import Path

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A tool's cable in the compensator: fast and slow way, one by one and as arrays, in and out."""
 
 from dataclasses import replace

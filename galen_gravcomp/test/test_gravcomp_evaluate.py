@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`evaluate` on tables: every form of orientation, splits without a leak, errors by name."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How an IMU is mounted, from still poses; and inertial forces by it, on tables."""
 
 import json

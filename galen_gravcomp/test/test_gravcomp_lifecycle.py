@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The compensation as a managed node, over its own services: silent unless it is active."""
 
 import time

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measured wrenches through the node: a KUKA with an ATI Gamma, its tool from still poses."""
 
 from pathlib import Path

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """State, rates and latency of the compensator, with a clock made up."""
 
 import pytest

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Inertial forces: the differentiator, the joints' and the IMU's stage, in the compensator."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A mis-mounted sensor through the compensator and through tables of readings."""
 
 from dataclasses import replace

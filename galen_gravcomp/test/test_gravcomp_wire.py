@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reading and writing serialised messages, held against rclpy's own serialisation."""
 
 import struct

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Late wrenches, told by arrivals and stamps that are made up."""
 
 import numpy as np

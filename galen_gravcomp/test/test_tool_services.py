@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node's services on tools' files and the topic of what is active, in one node's life."""
 
 import json

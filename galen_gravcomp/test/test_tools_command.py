@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The command `tools`: what it prints, what it rejects, exit codes; without a node."""
 
 import json

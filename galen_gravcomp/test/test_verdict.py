@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The verdict on still phases that were made up, so that each rule is met on its own."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A made-up arm for tests of what is watched live: poses, pushes, another load, drift."""
 
 import calibration_files

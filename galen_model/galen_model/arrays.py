@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The array type that the maths is written in, and what every module does with arrays."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Quantiles and tail probabilities of the distributions that the fits and checks need.
 
 `scipy.stats` has them too, but takes three quarters of a second of CPU to be imported, in every

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Errors that the suite raises for bad input; each message names the file, topic or value."""
 
 LONGEST_MESSAGE = 1000

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reading a JSON file's fields with checks; an error names the field."""
 
 import json

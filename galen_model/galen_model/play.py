@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rate-independent hysteresis: operators in a load, with corners and without.
 
 The play (backlash) operator of threshold r follows its input x by as little as it has to:

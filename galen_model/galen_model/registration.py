@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rigid transforms, wrenches and twists between frames, and the registration of a tracker.
 
 A wrench is (force, torque about the frame's origin), a twist (linear velocity of the frame's

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rotations: matrices are active, `R_a_b` takes vectors from frame b to frame a.
 
 Elementary rotations and the skew matrix accept arrays of any shape; conversions are SciPy's.

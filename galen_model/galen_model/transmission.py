@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Readings of one joint, what its lag is made of, and which readings are held out.
 
 The lag is the motor's angle, over its gear, less the link's, both in the motor's sense.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The distributions' functions against scipy.stats."""
 
 import numpy as np

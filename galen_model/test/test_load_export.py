@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Loads handed on to robots: every format is read back and is the same body in the frame."""
 
 import json

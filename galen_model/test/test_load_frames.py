@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Loads in other frames, against Pinocchio's frames, weights and drawn samples."""
 
 from pathlib import Path

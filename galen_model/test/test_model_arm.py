@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The arm's numbers, written down a second time, and readings worked out by hand.
 
 Other tests take the numbers from the package on both sides, and would follow a typing error.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Distances to boxes, straight ways that nothing slips through, and ways around."""
 
 import itertools

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A cable's pull learned from a sweep: form, likelihood, what it says, when it is rejected."""
 
 import json

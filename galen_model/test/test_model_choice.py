@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The choice among models of a load, beside the plain fit, on every kind of set."""
 
 from dataclasses import dataclass, replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Arms read from robot descriptions, against Pinocchio on random chains."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A bias that drifts: chosen by held-out blocks, with covariances that hold what it costs."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Identification: known parameters recovered at the noise's limit, bad input rejected by name."""
 
 import re

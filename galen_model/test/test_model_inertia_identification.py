@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Inertia from recordings of motion: known ones found, to the noise's limit, or rejected."""
 
 from dataclasses import replace

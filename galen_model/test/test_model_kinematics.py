@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Closed-form kinematics against Pinocchio, finite differences and analytic cases."""
 
 import numpy as np

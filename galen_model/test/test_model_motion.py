@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The sensor's motion and a load's wrench in motion, against Pinocchio and analytic cases."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sensor and mounting: recovered at the noise's limit, told apart or rejected by the pair."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Chosen poses: the criterion is the identification's own, and nothing beats them by much."""
 
 import itertools

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Poses of another arm than the Galen: what they tell, where they lie, what they keep clear of."""
 
 import itertools

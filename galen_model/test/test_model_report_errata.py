@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The 2019 report's printed equations beside the sound ones, on noise-free data.
 
 The printed forms live only here. R is R_ts(theta), from the sensor's frame to the base-parallel

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rest segments out of joint states and of a live stream: quanta, noise, jumps."""
 
 from dataclasses import replace

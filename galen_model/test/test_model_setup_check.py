@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Set-up errors are named, and a sound set-up is left alone, on simulated sweeps."""
 
 from pathlib import Path

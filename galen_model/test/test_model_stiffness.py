@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Nominal deflection: against energy, finite differences of geometry, and published-like values."""
 
 import numpy as np

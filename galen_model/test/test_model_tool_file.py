@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Calibration files: read back what was written, reject what is not one, survive a kill."""
 
 import json

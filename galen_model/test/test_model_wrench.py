@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Wrench algebra: power is the same in every frame, and forces act where they act."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Two calibration files compared: by drawn estimates, by hand, over the whole workspace."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The calibration files of a directory: nothing lost, nothing overwritten, no way out of it."""
 
 import json

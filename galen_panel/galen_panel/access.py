@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Who may talk to the panel, and how much: it moves an arm, so that not every web page may.
 
 A page of another host that is open in the same browser could send requests to a server on

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`panel`: the operator's panel in the browser, a client of the suite's nodes like any other.
 
 A signal is how it ends, with exit code 0, whenever it comes; further ones change nothing.

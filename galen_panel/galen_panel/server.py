@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The web server: who may come in, and the page that each browser gets."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A real Chromium: finds by data-testid, waits on predicates, and tells what a page asked for."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What can be read on a page: each text that is seen, its size and contrast; what plots hold."""
 
 import numpy as np

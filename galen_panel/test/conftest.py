@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the browser's tests share: a Chromium a file, looked over after each test."""
 
 import pytest

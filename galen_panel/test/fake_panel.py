@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The panel on a made-up suite: [FAKE_PANEL_URDF=FILE] python fake_panel.py --port 8090.
 
 With FAKE_PANEL_TOOL=NAME that tool is active, and is being calibrated.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A suite without ROS, for what the page does; `python fake_panel.py` shows it in a browser."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One browser's page without a browser: NiceGUI's own simulation of a user, on the fake suite."""
 
 import asyncio

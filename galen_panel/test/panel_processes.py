@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The panel, and the nodes that it shows, as processes of their own; each is ended by its id."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A RosSuite in a Harness's domain: nodes are added and taken away around it."""
 
 import asyncio

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Take the README's pictures of the panel: python galen_panel/test/screenshots.py --output DIR.
 
 The made-up suite of the tests is shown: a calibration that runs, and streams.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Who is let in and how much, over plain sockets: browsers can't send what an attacker can."""
 
 import asyncio

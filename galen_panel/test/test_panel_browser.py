@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """In a real browser, on a made-up suite: what a unit test can't hold."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The guide in a real browser, on the simulated arm: from nothing to a compensated wrench."""
 
 import pytest

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The page in a small window, with the longest name: nothing overlaps, and there is room for it."""
 
 import pytest

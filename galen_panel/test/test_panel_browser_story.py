@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """An operator's day in a real browser, on the simulated arm: all of it through the page."""
 
 import shutil

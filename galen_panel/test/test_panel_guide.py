@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The guide: which step is next, and what its button does."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The live page without a browser: what is sent to it, when the streams are listened to."""
 
 import asyncio

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The command line, the way it ends, and the address that can't be had."""
 
 import shutil

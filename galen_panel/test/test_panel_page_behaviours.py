@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Behaviours on the page: start, progress, what a person is asked, cancel, the outcome."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The header: the active tool, compensation, tare, the lamp; and how the page asks."""
 
 import asyncio

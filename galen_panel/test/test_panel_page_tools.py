@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The list of tools, and what is asked before a file changes."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the page writes: numbers, times, hints, poses, outcomes. No page is needed."""
 
 import math

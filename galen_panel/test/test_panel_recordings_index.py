@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recordings are found and described from their metadata; nothing leads out of the directory."""
 
 import shutil

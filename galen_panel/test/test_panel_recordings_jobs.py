@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The queue of evaluations and diagnoses: one at a time, cancelled, killed, crashed; restarts."""
 
 import json

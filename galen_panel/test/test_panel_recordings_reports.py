@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Real evaluations and diagnoses by the worker, what the page shows of them, what is served."""
 
 import asyncio

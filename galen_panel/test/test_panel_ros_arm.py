@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which arm the panel shows: of its parameters, or of the topic robot_description."""
 
 import shlex

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Results and feedback of the three actions in words, without nodes."""
 
 import math

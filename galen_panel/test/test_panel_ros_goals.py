@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Behaviours over ROS: goals of the panel and of anybody, on a server that does as it is told."""
 
 import math

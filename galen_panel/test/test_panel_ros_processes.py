@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The suite over ROS on the real nodes, each a process of its own that is killed."""
 
 import asyncio

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The 500 Hz streams: heard while somebody watches, and only then; whatever comes on them."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The ROS thread by itself: jobs, errors in them, and the board that it writes on."""
 
 import asyncio

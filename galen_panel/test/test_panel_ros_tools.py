@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The tools' buttons over ROS, on a real gravcomp node; and on none, and one that hangs."""
 
 import asyncio

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What of an arm's description is drawn, where, and which files a description can name."""
 
 import asyncio

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The nodes in plain words: each state that the nodes' code can tell has words and advice."""
 
 import ast

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Topics' quality of service; messages to arrays and back.
 
 Stamps are integer nanoseconds; a wrench is force, then torque.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Workarounds for defects of rclpy, each with its upstream issue; written for `RCLPY_VERSION`.
 
 | here | defect | upstream |

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Managed nodes: transitions over the real services, what is undone, and what a failure becomes."""
 
 import time

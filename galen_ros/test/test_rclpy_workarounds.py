@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Workarounds for rclpy: the version that they are for, jobs beside the executor."""
 
 import threading

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How the arm is moved and stopped: by topic, and by action where control_msgs is installed."""
 
 import time

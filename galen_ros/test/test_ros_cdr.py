@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The templates' bytes are rclpy's bytes, but for padding that CDR leaves open."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """SIGINT at any time of an executable's life: while it imports, works, and ends."""
 
 import subprocess

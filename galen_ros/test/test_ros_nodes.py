@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Diagnostics, latched topics, deferred services and the harness, on both executors."""
 
 import pytest

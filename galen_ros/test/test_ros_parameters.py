@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Parameters: what is declared, what is rejected and how the README's table reads."""
 
 from dataclasses import dataclass

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Parameters of `sim_driver_node`: the cell's, and those that each effect declares of itself.
 
 An effect's parameter is named after the effect, then the number as the contract names it, with

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Simulate the readings of sensor and tracker along recorded joint states.
 
     reading = read(W(true pose; tool) + W(true pose; adapter) - W(true bias pose; adapter) + others)

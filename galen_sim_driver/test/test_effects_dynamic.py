@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Effects of cable, motion, stiffness, hysteresis, play and tracker against other formulas."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The simulator along recorded joints: nominal, each effect by an independent formula, together."""
 
 import json

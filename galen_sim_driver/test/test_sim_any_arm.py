@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The simulated driver with an arm that is not the Galen, against Pinocchio."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Effects beyond the nominal model: forces of acceleration, cable, bias drift, a tool that sags."""
 
 from dataclasses import replace

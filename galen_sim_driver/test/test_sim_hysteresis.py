@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Hysteresis of the deflection: Dahl's law itself, and the joints that it is in."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The driver as a managed node: while it is inactive nobody hears of the arm, nor moves it."""
 
 import time

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The plant with effects set by parameters, against `replay` with the same effects."""
 
 import json

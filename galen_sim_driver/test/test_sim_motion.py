@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Limits hold at every step, references are followed, targets are reached exactly."""
 
 import numpy as np

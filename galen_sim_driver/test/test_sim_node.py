@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node over real DDS: streams, services, trajectories, clock, admittance."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Parameters of the node, the plant they make, and the pacing of its steps."""
 
 from dataclasses import replace

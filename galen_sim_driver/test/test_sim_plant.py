@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The plant: its reading, noise, encoders, commands and determinism."""
 
 from dataclasses import replace

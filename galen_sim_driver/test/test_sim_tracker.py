@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rotations in plain floats; the tracker: geometry, deflection and noise."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Trajectories: what is rejected, and the polynomials between points."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Arms that others described, simulated or measured, and their kinematics by two methods."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Shows the suite on arms that the project did not write, in docs/results/arms.md."""
 
 from __future__ import annotations

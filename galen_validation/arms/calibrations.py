@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Calibrations in simulation: each arm through the action, and many of one for the covariance.
 
 The first part runs driver, calibration node and clients as processes, as a user does, faster than

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recordings from outside the suite: a UR5 in MuJoCo, driven by torques; a measured Panda.
 
 The UR5's links and inertias are those of its URDF, read by MuJoCo, whose kinematics, dynamics and

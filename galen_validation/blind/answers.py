@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Answers of any tool, as they are scored: section 7 of the contract, read with distrust."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What simpler methods answer from the same residual rows: the check's columns for comparison.
 
 Each effect has one or more linear templates, columns of what its parameters change of the rows:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A set's course: plan, make, seal; and have this program answer in a process kept from labels.
 
     SET/recordings/   what a diagnosis gets: bags, tool.json, arm.urdf

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One blind case: a hidden cause in a drawn session, its recording and its truth.
 
 How strong a cause is, D, is its distance from no cause in standard deviations: with d what it

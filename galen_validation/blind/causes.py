@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a blind recording may hide: causes by the contract's effects.
 
 A `Cause` is a size and what it changes on the way from joints to files. Those of the arm change

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Lock a process out of one directory: no reading of what is in it, nor of other processes' memory.
 
 Linux's Landlock (kernel 5.13 and later; Documentation/userspace-api/landlock.rst) takes from a

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The diagnosing process: gets recordings, leaves an answer of each method for each.
 
     python -m galen_validation.blind.diagnosing RECORDINGS ANSWERS LABELS [--workers N]

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Labels of a set, and their seal.
 
 The labels' text holds the set's seed, 64 random bits unless it was given, so that trying out hashes

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What sensor and tracker measure of the blind arm, and the recording that is written of it.
 
     reading = show( sense(wrench on the sensor) - sense(adapter at the zeroing) ) + zero

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The arm that `blind_check` records: rigid bodies, springs, gaps and cables in MuJoCo.
 
 Every joint is driven through a spring: a servo whose stiffness is the joint's pulls the link after

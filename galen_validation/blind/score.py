@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Answers against labels: every number of the blind check.
 
 One recording is one unit of every rate. A missing or malformed answer is wrong, and named.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How a blind recording is made: rates, poses, speeds, pushes, noise; drawn from a seed alone.
 
 Whatever names, sizes and durations of the files show is decided here, before any cause is known,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The blind check's tables in Markdown, and the pages that hold them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Causes that aren't on the contract's list, in two lists that share nothing.
 
 Thresholds are calibrated on the one, `blind_check` asks the other.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measures how fast everything is, each against a baseline in the same run: tables, and JSON.
 
 python -m galen_validation.speed --output output/bench.json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Time and memory of `evaluate` on bags, beside only reading them with the library rosbags.
 
     make bench ARGS="--only bags --hours 0.25 0.5 1"

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What computing costs, without any ROS: each against a baseline in the same run.
 
 - compensation of one sample: the node's kernel against the weight by Pinocchio's forward kinematics

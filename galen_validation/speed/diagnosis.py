@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a diagnosis of one recording takes, part by part, beside reading the recording's bags.
 
 The recording is simulated: an arm with one effect, all three bags, some 40 000 messages. Baseline

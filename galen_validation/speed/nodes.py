@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Cost, latency and loss of one node's process, against bare relays in the same run.
 
 A sender process publishes joint_states and a wrench; the subject is a process of its own; this

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Processes beside which a node is measured: a sender, and bare relays.
 
     python -m galen_validation.speed.relays ROLE WRENCH_TOPIC [RATE_HZ [moving]]

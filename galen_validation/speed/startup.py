@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How long each node takes from its process' start till others see it, beside a bare relay.
 
 Seen is: the node's name is in the graph and it has told its state on /diagnostics (a relay: its

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A diagnosing process for tests: answers by the recordings' content, and tries to see the labels.
 
 It is started as the real one is. What it tried and got stands in each answer.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The arms of others: MuJoCo and the suite agree on what a UR5's sensor reads."""
 
 from dataclasses import replace

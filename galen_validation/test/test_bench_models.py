@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The benchmark's own models: files that read, and that do what they are measured for."""
 
 import numpy as np

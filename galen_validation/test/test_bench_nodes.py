@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the benchmark of nodes counts and divides; the nodes themselves are left out."""
 
 import io

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The blind arm: nominal where the contract says so, and silent about what it hides."""
 
 import ast

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The model that a diagnosis writes for MuJoCo: with it MuJoCo reads what the suite's own does."""
 
 import json

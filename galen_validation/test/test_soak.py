@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A soak of some seconds: what it counts is there, and what breaks is seen."""
 
 import io

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A driver that makes a mistake, as a process of its own, is told of by gravcomp_node."""
 
 import pytest

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Builds the workspace, only when something that the build copies has changed."""
 
 from __future__ import annotations

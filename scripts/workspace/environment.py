@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Makes `.venv`, with ROS 2 from PyPI or on top of an installed one."""
 
 from __future__ import annotations

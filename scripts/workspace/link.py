@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Installs the Python packages of a workspace as links: an edit of a source needs no build.
 
 `python link.py ROOT` reads each setup.py and lays below ROOT/install what `colcon build

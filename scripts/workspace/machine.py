@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The machine: what has to be on it, its ROS 2 Jazzy and Python, one run at a time."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every reader of files and messages, and what it promises whatever the bytes are.
 
 Either it reads something that holds together (finite numbers, the right shapes, what is written

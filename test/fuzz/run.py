@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Fuzz a reader with atheris: made-up bytes, guided by which lines of the suite they reach.
 
     source scripts/env.sh && pip install atheris

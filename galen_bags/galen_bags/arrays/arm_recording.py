@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """An arm's joint states and wrenches out of a bag, thousands of messages at a time as arrays.
 
 A publisher's messages are alike but for stamp and numbers. So the first message's layout is worked

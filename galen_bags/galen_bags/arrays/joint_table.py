@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Readings of one joint from tables in text files, and the command options that map columns."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Poses of the tracker's markers out of a bag, without those in which the marker was lost."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tables of readings in text files: of any columns, with orientations, of one run in motion.
 
 Values are apart by commas, semicolons (then decimal commas may be), tabs or blanks, quoted or not;

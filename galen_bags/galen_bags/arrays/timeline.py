@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whether a topic's time stamps are sound, and when the samples of several topics were taken.
 
 The authors of the 2019 report lost weeks to stamps that jumped. A bag has two clocks: the stamp,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Any bag of ROS 2: rosbag2 directories and files, MCAP and SQLite3, compressed or not."""
 
 from __future__ import annotations

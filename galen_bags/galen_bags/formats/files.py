@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bags' files: where they are, and what a rosbag2 directory's metadata.yaml states."""
 
 from __future__ import annotations

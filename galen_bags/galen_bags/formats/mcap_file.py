@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One MCAP file, read in whole chunks: messages come as arrays of places, not one by one.
 
 Where the chunks are, their times and where the file breaks off is found by stepping over the

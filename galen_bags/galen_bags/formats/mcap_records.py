@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The records of an MCAP file: where they are in a stretch of bytes, and what is in them.
 
 Records are (opcode uint8, length uint64, content), little-endian (MCAP format specification,

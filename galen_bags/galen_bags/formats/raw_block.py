@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What all formats give: topics, blocks of serialised messages in order, problems of a file."""
 
 from __future__ import annotations

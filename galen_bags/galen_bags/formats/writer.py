@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Write rosbag2 directories (MCAP): whole or not at all, or growing while recorded."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`play`: publishes a bag with its own timing, and the time on /clock."""
 
 from __future__ import annotations

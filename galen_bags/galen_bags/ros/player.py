@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The player: publishes a bag's messages by their log times, and the time itself on /clock."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`record`: writes what topics carry to a bag, until Ctrl-C or for a time."""
 
 from __future__ import annotations

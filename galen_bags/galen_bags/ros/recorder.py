@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The recorder: subscribes to topics as they appear and writes their messages, byte for byte."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Topics as ROS and bags name them: valid names, message types, quality of service."""
 
 from __future__ import annotations

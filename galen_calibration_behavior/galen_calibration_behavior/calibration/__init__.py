@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
 """A calibration: the procedure, its poses and its estimate."""

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A calibration in which an operator moves the arm: every rest segment is a pose of the sweep.
 
     REMOVE_TOOL -> ZERO -> SWEEP_BARE -> ATTACH_TOOL -> SWEEP_TOOL -> ESTIMATE

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From still poses to the tool's file, and its result for a person and for a program. No ROS."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The calibration's state machine, without ROS: samples and events in, commands out.
 
     HOME -> REMOVE_TOOL -> ZERO -> SWEEP_BARE -> HOME -> ATTACH_TOOL -> SWEEP_TOOL -> HOME

@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the procedures share: commands, parameters, the check's decision."""

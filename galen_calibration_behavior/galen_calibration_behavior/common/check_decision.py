@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Does the tool's file still fit? Decided from the mean readings at a few still poses. No ROS.
 
 With u_k gravity in ft_sensor at pose k, the reading there less the file's expected one is

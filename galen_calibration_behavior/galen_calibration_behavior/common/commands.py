@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the two procedures ask of the node that runs them, and how they end."""
 
 from __future__ import annotations

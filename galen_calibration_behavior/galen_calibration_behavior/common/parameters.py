@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The calibration node's settings, each a parameter: sweep and home under the report's names."""
 
 from __future__ import annotations

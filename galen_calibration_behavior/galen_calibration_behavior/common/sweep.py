@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One sweep: which pose comes next, which were still, which are tried again or left out."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Loads of adapter and tool out of recorded sweeps: the file, and the result for a person.
 
 How a recording is read, and when it ended.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The page of a calibration from a recording: what was found, pictures, what to do better."""
 
 from __future__ import annotations

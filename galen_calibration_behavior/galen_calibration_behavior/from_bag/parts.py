@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Inertia or a cable's pull, out of a recording, into a calibrated tool's file."""
 
 from __future__ import annotations

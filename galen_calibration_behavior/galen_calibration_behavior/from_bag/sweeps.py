@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which of a recording's still phases belong to which sweep, and what the estimate takes of them.
 
 What is recorded at home before, between and after the sweeps is left out; where the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where in a recording the tool came on, as the readings of its still poses tell it.
 
 Bare, the poses read the adapter, with the tool on they read both, each with an offset of its own:

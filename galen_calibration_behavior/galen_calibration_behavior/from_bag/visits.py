@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The still phases of a recording, each averaged and judged as the live sweep does it.
 
 The phases come from the joints alone (`galen_model.rest.segments`). Each is then played to a

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The quick check's course, without ROS: samples and events in, commands out.
 
     MEASURE (each pose: go, arrive, settle, average, judge) > decide > RETURN to where the arm was

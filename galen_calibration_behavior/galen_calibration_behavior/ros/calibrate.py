@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`calibrate`: sends one goal to calibration_node and shows how it goes, on a terminal."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The action `calibrate_tool`: the procedure on the arm's topics and services."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`check`: has calibration_node find out whether a tool's file still fits, and says what to do."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`calibration_node`: calibrates and checks tools, one goal on the arm at a time."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The action `check_tool`: the quick check on the arm's topics."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """When the arm is at its target and settled, and the average of joints and wrench there.
 
 All times are the samples' stamps. The authors of the 2019 report lost weeks to jumps in the time

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Settings of nodes that move the arm from rest to rest; each is a parameter of the node."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Procedures of goals on the arm, without ROS: samples and events in, commands out.
 
 Any state ends at once on `cancel` or `fail`: the arm is told to stop, and the procedure is finished

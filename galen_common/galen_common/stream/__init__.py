@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
 """Wrenches and joint states paired by stamp, and their monitoring."""

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The health of a node that takes wrenches: state, rates, latency. No ROS.
 
 Rejections come and go with single samples; a state must not flap at 500 Hz. So a rejection stays

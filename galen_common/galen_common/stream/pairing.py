@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Wrenches and joints that come as two streams, paired by their stamps. No ROS.
 
 What comes out is a `PairedWrench` or a `Rejected`. Samples are pushed in the order of their

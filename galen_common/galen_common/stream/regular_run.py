@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How far samples in the order of their arrival are regular, and what becomes of them, as arrays.
 
 Regular is what `Compensator` compensates without a rejection, a restart or a dropped sample.

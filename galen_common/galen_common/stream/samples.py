@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What becomes of samples: rejections and notices, the rules behind them, recent joints.
 
 The rules by which a sample is out of line stand here for one sample and for many, so that pushing

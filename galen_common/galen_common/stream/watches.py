@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Three watches over a node's inputs: a frozen reading, late wrenches, their publishers. No ROS.
 
 Frozen: a live reading's noise and the weight that turns with the arm both change it. Looked at a

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The plan of a collection, its commands, and the node's parameters, checked before it moves.
 
 As in the 2019 report (section 2.3.4): several levels of force in both directions along all axes,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The collection's course, without ROS: samples and events in, commands out.
 
     record calibration_1 > CALIBRATION

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a collection watches: one push, and the tool without contact, its markers seen.
 
 Without contact by the rule that reading the recording goes by later

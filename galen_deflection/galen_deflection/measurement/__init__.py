@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measured deflections from recordings of pushes."""

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Read the arm's joints and wrenches from a bag; where it stood, and when without contact."""
 
 from __future__ import annotations

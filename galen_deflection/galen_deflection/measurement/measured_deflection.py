@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The deflection that the tracker measured, as samples: the tip's pose over that by the joints."""
 
 from __future__ import annotations

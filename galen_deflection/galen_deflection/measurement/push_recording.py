@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Read a recording of pushes: load and marker, at the tool marker's stamps.
 
 The wrench is compensated as by the live node. Joints and wrench are interpolated at the stamps of

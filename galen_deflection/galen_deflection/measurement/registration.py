@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where the tracker's markers are on the arm: the 2019 report's eqs. (13) and (14), checked.
 
 The report takes g_fB = g_Tf^-1 g_Tt g_Bt^-1 (f the base's marker, T the tracker, t the tool's

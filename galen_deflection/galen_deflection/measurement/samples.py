@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Samples of load and displacement, which models are fitted to, and the pushes among them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The 2019 report's first two models, as baselines: one compliance of the tip at all positions.
 
 Section 2.3.5, figures 3 and 4: "independence of axes was assumed, and deflection was modeled

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Kinds of deflection models by name, and a model's file: written whole or not at all.
 
     {"schema_version": 1, "arm": {"name": "galen", "joints": ["delta_x", ..]},

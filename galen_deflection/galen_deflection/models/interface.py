@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Shared by all deflection models: predictions, settings of a fit, the range of a fit."""
 
 from __future__ import annotations

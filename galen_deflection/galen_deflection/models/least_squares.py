@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Weighted least squares for compliances, out of sums over blocks of time.
 
 With W = 1 / noise^2, a block's N = sum D^T W D, b = sum D^T W y and y^T W y are all that a fit

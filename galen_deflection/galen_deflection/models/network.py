@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The 2019 report's network as a deflection model: one LSTM layer and a linear layer, in numpy.
 
 With x the standardised inputs (the wrench at the tip in base_link, N and N.m, and the joints, m and

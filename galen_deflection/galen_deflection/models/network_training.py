@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Training of the 2019 report's network (section 2.3.6) with PyTorch.
 
 The report: one LSTM layer of 18 hidden units, dropout 0.05, a fully connected layer to the six axes

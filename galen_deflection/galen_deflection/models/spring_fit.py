@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Fits of the springs: alone (`joint_stiffness`), and with hysteresis (`joint_hysteresis`).
 
 The tip's compliance depends on where the arm stands, and is linear in the springs' compliances 1/k

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The arm's springs as a fitted model, with or without hysteresis; linear in its parameters.
 
 deflection = design(loads so far) @ parameters: the four compliances, then a weight for each

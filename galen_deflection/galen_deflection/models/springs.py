@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """An arm as springs in series: its elastic joints, and a delta's carriages and rods.
 
 Contract section 2. A delta's platform stands on six rods with the square matrix A (6, 6) of their

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`collect`: sends one goal to collection_node and tells a person what to push."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`collection_node`: runs the action `collect_pushes` on the arm's topics and records it."""
 
 from __future__ import annotations

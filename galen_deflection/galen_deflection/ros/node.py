@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The deflection's node: wrench_compensated and joint_states in, how far the tip deflects out."""
 
 import time

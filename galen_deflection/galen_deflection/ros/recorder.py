@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where a collection is recorded: its folder, and bags beside a node that is busy.
 
     <recordings_dir>/<name>/push/, calibration_1/, calibration_2/    rosbag2 directories (MCAP)

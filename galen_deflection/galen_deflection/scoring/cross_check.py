@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Fits without some samples, scored on those: which samples, split by split.
 
 A set is one repetition of the pushes at one position: the samples with one position and one

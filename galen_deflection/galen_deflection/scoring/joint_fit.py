@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Models of one joint or transmission: least squares with bounds, each checked on held-out parts.
 
 Every model may look at the torque and at the motor's angle and velocity, from a run's first reading

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`evaluate` of tables: how a single joint deflects, models side by side on held-out readings."""
 
 from __future__ import annotations

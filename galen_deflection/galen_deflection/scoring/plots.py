@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The report's figures 3 to 5: measured and predicted deflection over time."""
 
 from __future__ import annotations

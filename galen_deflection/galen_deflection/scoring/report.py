@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Options, tables and JSON that `train` and `evaluate` share."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How well a deflection is predicted: errors over the noise, coverage, residuals at no load.
 
 The residual at no load is what hysteresis leaves: the mean deflection of the pause after a push.

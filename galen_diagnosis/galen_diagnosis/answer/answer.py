@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The result of a diagnosis: the contract's `diagnosis.json` (section 7), and what is behind it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where the gap lies: cells of the residual that hold more energy than a healthy arm gives them.
 
 A view cuts the squared whitened residual into cells (by channel, bag, regime, pose). A cell has a

@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
 """The forms in which effects are tried on a recording."""

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The forms in which an effect is tried on a recording.
 
 A candidate is an effect with everything chosen that isn't a number to fit (which axis, which joint,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a diagnosis needs of an effect, in one record; what the effect does is the simulator's.
 
 Inference, report, experiments and tables go over the records of `registry.py` and name no effect.

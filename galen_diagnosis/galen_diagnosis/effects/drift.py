@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Effects of the sensor that come with time: a drift of any shape, and a step."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """All forms of all effects on a recording, and the background of every fit.
 
 Beside every hypothesis are fitted unknowns that are no gap, and a healthy arm's tolerances: no arm

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Effects of a general shape: what a diagnosis fits where no formula of the simulator's does.
 
 The force of a hose or of a hanging cable is some field of the tool's place; friction is somewhere

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Effects of the joints' kinematics and of the base.
 
 A robot description holds a joint's zero and its axis. With R the rotation of a joint's frame in its

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Jumps at any time of a recording: the evidence of all times at once.
 
 A jump b at t_0 changes the rows by columns of the unknowns O_k (the sensor's zero, the base's

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Effects of the load on the sensor."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The records of all effects, and which of them are looked for on an arm."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Effects of the sensor.
 
 What is added to a reading, b(t), changes the rows by the sensor's zero's columns O_k times b_k(t)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What records need of a table: of orientations, or of a joint with encoders at both ends.
 
 A table of orientations holds gravity in the sensor and, perhaps, the sensor's rotation in its base;

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Effects of the tracker and of its base marker."""
 
 from __future__ import annotations

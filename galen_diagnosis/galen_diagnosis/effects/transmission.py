@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Effects between a motor and the tip: springs, friction, gaps, the joint's encoders and gear.
 
 Of a joint's two angles and torque, the lag is the motor's angle less the link's. Beside the

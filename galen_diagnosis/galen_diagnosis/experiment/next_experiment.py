@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The experiment that best separates the causes that are left, and how sure it would make.
 
 Each of a list of experiments, from the least trouble to the most, is simulated with every

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How well an experiment would separate hypotheses, before it is done.
 
 A hypothesis i is some effects with parameters theta_i, known to the covariance C_i. Linearised

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """An experiment that isn't done yet, and what a nominal diagnosis would see of it.
 
 A `Trial` is one recording of an experiment: still poses, a motion, or pushes. `signature` runs the

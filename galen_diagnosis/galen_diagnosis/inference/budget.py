@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the whole gap is made of: every effect that the data resolve, within its limit or beyond.
 
 To the causes that were chosen, at their fitted numbers, a healthy arm's deviations are added with

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Diagnoses one recording: from its rows to an answer with everything behind it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What an effect's model may be off: by row, in proportion to what the effect does there.
 
 An effect's model is not quite the arm's. With s (N,) what a fitted effect changes of the rows, the

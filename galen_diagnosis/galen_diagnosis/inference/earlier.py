@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What earlier recordings of an arm say of a later one.
 
 The posterior of a healthy arm's deviations from an earlier recording, N(m, C), is the later one's

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What was tested and not found: of each effect the largest size that would have been missed.
 
 In the linear picture of a fit an effect of size theta has the strength (noncentrality)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How far the gap shrinks on blocks that no fit has seen, and the numbers found, with intervals.
 
 **Gap.** Blocks (a pose with its move, three seconds) are dealt to folds; effects, unknowns and a

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Probabilities of hypotheses: none, effects alone and together, and something that isn't listed.
 
 The few numbers of the evidence that are not physics are calibrated on simulated recordings:

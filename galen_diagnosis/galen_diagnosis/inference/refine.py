@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Hypotheses: some effects together, fitted on the simulator itself.
 
 Gauss and Newton's method on the penalised sum of squares

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which effects explain a recording: one, two, as many as the data resolve, by forward selection.
 
 Every form of every effect is judged by its linear evidence first; the likeliest are fitted on the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a fit leaves: energy in means over cells, smooth structure, oscillations.
 
 White rows averaged over a cell and scaled by the root of their number are again white; what is slow

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The noise floor of a channel, from the recording itself, its colour included.
 
 Noise is taken as autoregressive,

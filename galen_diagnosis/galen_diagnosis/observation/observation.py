@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A recording against the nominal simulator: whitened rows, and how they change with effects.
 
 Residuals of all samples are whitened (`noise.py`), then averaged over groups of a few samples. What

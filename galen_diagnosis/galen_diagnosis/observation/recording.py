@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reads a diagnostic recording (contract, section 5): up to three bags and the tool's file.
 
 Nothing else in its directory is opened.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The residual as a diagnosis works on it: whitened rows, each with where it comes from.
 
 A row is a residual (measured less predicted) of one channel, averaged over a few samples and scaled

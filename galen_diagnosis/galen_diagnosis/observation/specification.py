@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What is still healthy of an arm and its instruments, by effect: limits of their specification.
 
 A limit is the largest magnitude that is within specification; 95 % of healthy parts lie inside it,

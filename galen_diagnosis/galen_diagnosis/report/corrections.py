@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Files that correct what was found, for the robot and for the compensation of its tool.
 
 What effects change in a robot description and in a calibration file is in their records; a joint's

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The arm as a diagnosis found it, as a model for MuJoCo.
 
 Each joint stands in its body as in the arm's kinematics; a `<position>` actuator with the joint's

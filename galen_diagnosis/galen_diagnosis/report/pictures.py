@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pictures of a diagnosis: the residual with what was found, and where the residual lies."""
 
 from __future__ import annotations

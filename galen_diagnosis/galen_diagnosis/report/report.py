@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a diagnosis leaves: one HTML page, the terminal's tables, the output directory."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A diagnosis in words: effects, parameters in the units that people read, what to do next."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From what a search found to the contract's answer, with gaps on blocks that no fit has seen."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From readings to blocks of rows and effects: a table with orientations, or one joint's runs.
 
 A table with time is cut into its rest segments, blocks of averages over short windows. One without

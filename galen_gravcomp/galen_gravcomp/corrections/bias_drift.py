@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The sensor's bias drift, learned live while the arm is at rest without contact.
 
     out = untared - bias drift - tare

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The pull of a tool's cable, fast for one pose at a time and for arrays of poses. No ROS."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Inertial forces of tool and adapter, from the joints or from an IMU beside them. No ROS.
 
 A polynomial is fitted by least squares to the samples in a window around a moment T, from

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tare: the residual wrench, averaged at rest and subtracted along a ramp."""
 
 from collections.abc import Callable, Sequence

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One recording through the compensator that the node runs, and its residual.
 
 The bag's samples go through `Compensator` in the order in which they were received, as they would

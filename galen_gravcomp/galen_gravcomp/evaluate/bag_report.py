@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A bag's evaluation for a person, and for a program."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Does the sensor itself look sound? Channels that are stuck, saturated or not finite.
 
 A driver may send each of the sensor's readings several times: all six channels are then equal for

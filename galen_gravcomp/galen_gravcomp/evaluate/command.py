@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`evaluate`: calibration files against recordings, loads and sensors against tables."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Judge a long recording without contact: noise, Allan deviation, how long a tare holds.
 
 The overlapping Allan deviation of a reading, with its confidence band and fitted coefficients:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A long recording without contact as one series of time bins; spans with contact are left out.
 
 Samples are reduced to cells of a second on the way in, so that three days at 500 Hz (130 million)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """An IMU's inertial forces on tables: wrench, IMU and orientation, each at its own rate.
 
 The load comes from still poses, which also determine how the IMU is mounted

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pictures of evaluations: a bag, a long recording without contact."""
 
 from __future__ import annotations

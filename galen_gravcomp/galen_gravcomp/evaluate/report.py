@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The one form of a result: plain numbers for JSON, lines and tables for a terminal."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Residual of the rest segments of a recording: its parts, changes, and whether the file fits.
 
 With u_k gravity in the sensor's frame in rest segment k, the mean residual there is fitted by

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Report of a table: its load and held-out scores."""
 
 from __future__ import annotations

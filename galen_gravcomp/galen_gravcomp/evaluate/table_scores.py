@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Load models on a table of readings: fitted to all, scored on readings that no fit has seen.
 
 Groups are held out whole: a reading, a rest segment, a block of neighbouring readings. Each model

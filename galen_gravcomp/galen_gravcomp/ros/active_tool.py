@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What `tools active` reads: the active tool of a node, from its latched topic."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The gravity compensation node: wrench_raw and joint_states in, wrench_compensated out."""
 
 import contextlib

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node's services on the calibration files, and what is active on a latched topic.
 
 Files are read and written beside the executor (`galen_ros.rclpy_workarounds`), so that a slow disk

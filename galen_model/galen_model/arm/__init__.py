@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
 """The Galen's geometry, kinematics, stiffness and URDF."""

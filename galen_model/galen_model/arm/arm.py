@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One arm: the joints between its base and its force/torque sensor, and what follows from them.
 
 With joint k's placement (R_k, p_k) in the link before it, its axis a_k and its value q_k

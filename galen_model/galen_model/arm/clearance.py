@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How near the arm comes to boxes around it and to itself, at a pose and on the way to another.
 
 An arm's parts are the collision shapes of its description, a mesh as its convex hull, and the tool

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The linear delta: three vertical carriages carry a platform on three pairs of rods.
 
 With u_i = (cos theta_i, sin theta_i), R = rail radius - platform radius and L the rods' length,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """An arm from the text of a robot description (URDF), read by Pinocchio.
 
 The chain from `base_frame` to `sensor_frame` becomes an `Arm`; other branches, and joints beyond

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The Galen's numbers: geometry, limits, stiffness, sensor and tracker.
 
 Source: the 2019 report and public Galen/REMS material; what is not published is estimated.

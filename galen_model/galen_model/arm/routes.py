@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Ways for the arm around boxes and itself: straight in joint space, or over poses between.
 
 The poses between are a lattice of angles with all other joints at home; without one, home alone.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How the sensor moves: the arm's kinematics, twice differentiated by a recursion over its joints.
 
 From one revolute joint to the next, r the way between their origins in the axes of the link that

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Learn a cable's pull out of a sweep: how smooth, in which form, and whether it is one.
 
 **How smooth.** With K the covariance of all readings y of a sweep (6 n), W = K^-1 (y y^T - K) K^-1:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How each cause changes the reading of an untouched arm, to first order.
 
 With u gravity in the sensor and W = (f, tau) the reading of tool and adapter, a cause adds X w:

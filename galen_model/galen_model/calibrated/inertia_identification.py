@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Inertia of all that hangs on the sensor, from a recording of free motion.
 
 With s = g - a, Y the regressor of `galen_model.load.inertia`, x = (m, h, I) of tool and

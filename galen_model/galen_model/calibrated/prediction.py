@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The expected reading of a tool, fast for one pose at a time and for arrays of poses."""
 
 from collections.abc import Sequence

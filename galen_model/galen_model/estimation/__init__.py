@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Estimation: one linear problem, its solution, its outliers, and its score on held-out blocks.
 
 - `problem`: readings of channels that are linear in parameters, with what is known beforehand and

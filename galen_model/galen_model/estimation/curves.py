@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Curves in time of a sensor's bias, and what is known of them beforehand.
 
 b(t) = B(t) beta, linear between knots, with the prior beta ~ N(0, sigma^2 Q^-1), where sigma is one

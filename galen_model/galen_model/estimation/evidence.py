@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Evidence of linear hypotheses with Gaussian priors and noise.
 
 For rows y = X w + e with weights w ~ N(0, P^-1) and noise e ~ N(0, S), the data enter by

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Held-out blocks: how well a problem predicts readings that it has not seen.
 
 **Score.** Blocks of readings that follow each other in time are held out in turn, and each held-out

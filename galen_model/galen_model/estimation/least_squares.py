@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Least squares of rows with known noise, and the sums over blocks that such fits need."""
 
 from __future__ import annotations

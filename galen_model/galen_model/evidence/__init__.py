@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Does the load fit, and if not, why: verdicts, and what decides them.
 
 - `verdict`: causes, their messages, and the limits of what matters, for every question below.

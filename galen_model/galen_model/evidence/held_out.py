@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Score hypotheses on blocks that no fit has seen.
 
 Residual and columns are in units of the floor, weights about one, noise K block by block

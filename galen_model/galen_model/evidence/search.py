@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which effects explain blocks of readings: none, one, several, or something unknown.
 
 A hypothesis is a set of effects with, beside them, noise alone or something unknown that hangs

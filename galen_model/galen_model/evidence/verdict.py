@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Verdicts on a calibration: whether it fits, why not, and what to do.
 
 Every observation of a load ends in one of these causes, and takes its words from `MESSAGES`.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Files that are written whole or not at all.
 
 The new content goes into a temporary file beside the old one, which is synced to the disk and

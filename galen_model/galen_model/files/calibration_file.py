@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Calibration file `<tools_dir>/<tool>.json`: read with checks, written whole or not at all.
 
 The old file is kept as `<tool>.json.bak`, see `galen_model.files.atomic_file`. Files of schema 1

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Calibration files of one directory: listed, read, renamed, reverted, removed, restored.
 
 A tool's name is the only way in: it is checked, and what it names must be a file within the

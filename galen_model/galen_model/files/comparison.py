@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Two calibration files side by side: what differs, and whether that is more than they can tell.
 
 A difference d of two estimates has the covariance C_a + C_b, as two calibrations don't share their

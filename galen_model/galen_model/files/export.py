@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The load of a calibration in the formats that robots' drivers and simulators take.
 
 Tool and adapter become one body in a frame that is rigid to the sensor. With masses m_i and centres

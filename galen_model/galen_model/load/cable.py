@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The pull of a cable at the tool, as a sweep with the cable on shows it.
 
 What a reading holds beyond the calibration file, y (6,), is a Gaussian process over the joints q

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Choose how a load is identified: by held-out blocks, the simplest model that is not worse.
 
 The candidates, the simplest first; each is fitted to all blocks of poses but one and predicts it:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A load's mass, centre and covariance in other frames of the arm than the sensor's.
 
 A point p in ft_sensor is R p + o in a frame, with R = R_frame_sensor and o the sensor's origin in

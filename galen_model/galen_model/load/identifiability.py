@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Do the poses identify what is asked? Gates before, and again after, a fit.
 
 **Loads** (`check_excitation`). With noise of one unit on every channel, A the stacked design and

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Identify loads at the wrist, offsets and, where asked, the mounting, from still poses.
 
 After two sweeps tool, adapter and both offsets are known. With one sweep the offset has to be taken

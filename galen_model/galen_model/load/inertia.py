@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a rigid load in motion reads: Newton's and Euler's equations about the sensor's origin.
 
 In the axes of ft_sensor, with g gravity, a the acceleration of the sensor's origin, w and al the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a load at the wrist reads: the nominal measurement model.
 
 A load of mass m with its centre at p (ft_sensor) reads, about the sensor's origin,

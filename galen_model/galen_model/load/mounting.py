@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How the sensor sits in its mount and the base on its stand, and what both do to a reading.
 
 With the conventions of the effects `sensor_mount_rotation`, `axis_gain`, `base_inclination`,

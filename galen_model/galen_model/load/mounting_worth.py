@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whether the mounting's parameters pay: a matter of poses held out by blocks, not of the residual.
 
 Blocks of neighbouring poses, in visiting order, are left out of both sweeps in turn; three models

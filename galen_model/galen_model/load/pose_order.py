@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Order of a sweep's poses in which a drift of the sensor costs little, and what it costs.
 
 A reading that drifts while the poses are visited is y_i = G(u_i) x + c + b(t_i) + noise, u gravity

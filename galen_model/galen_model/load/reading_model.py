@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Readings of still poses as a function of loads and mounting, with the Jacobian.
 
     h_i = M [G(u_i) x_i - G(u_0) x_adapter],   x_i: what hangs on the sensor at pose i

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Averaged readings of still poses, and the problem that they pose to whoever asks for the loads.
 
 The model is linear in the loads' moments x = (m, h = m p) (see `galen_model.load.model`), with

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Find what readings hold beside loads and constant biases: a drift, steps, gains, a rotation.
 
     y_ik = J_ik (x, r) + b_k(t_i) + e_ik

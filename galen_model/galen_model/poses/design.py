@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which poses tell most about a load: optimal design for the load's identification.
 
 A sweep with one load on it reads y = G(theta) x + c + noise, x = (m, h) the load's moments and c

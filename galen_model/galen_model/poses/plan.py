@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which poses a sweep visits: the grid's, chosen or listed ones, and the ways around boxes.
 
 The grid is over tilt and roll. The 2019 report sweeps 7 tilts x 8 rolls = 56 poses (class

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The still phases of a recording, found in its cells: arm at rest, wrench steady.
 
 The arm is still in a cell in which no angle leaves a narrow band, and whose angles are those

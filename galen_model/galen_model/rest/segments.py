@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The rule of rest, and how it is applied.
 
 The arm is at rest while no joint goes further in a window than its limit of speed allows, beside

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Half-second windows of a live stream in which the arm was still, and whether the wrench was.
 
 Live, there is no recording to look back into, as `galen_model.rest.binned` does: a window is

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Judge whether a load fits to still readings, and which wrong set-up explains them if not."""
 
 from __future__ import annotations

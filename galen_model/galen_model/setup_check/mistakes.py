@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The finite list of what people get wrong: each mistake undone, as far as readings tell it.
 
 Four kinds: units, axes of the reading, orientation of the sensor, direction of gravity. A kind

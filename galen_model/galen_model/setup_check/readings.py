@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Still readings as a set-up reports them, and the load that fits to them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Find stamps of joints and wrench that are apart by a constant.
 
 A reading is compared with the orientation at its stamp. Where the stamps are apart by d, the load

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The words for each state that a node can tell: what it means, and what to do. No ROS.
 
 `{tool}` is the active tool, `{node}` the node's name. A state that means different things at

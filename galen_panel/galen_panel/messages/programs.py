@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The suite's programs: what is missing, what each node is doing, what to do about it. No ROS.
 
 A node tells its state by a short name, the value `state` on /diagnostics; the words are looked up

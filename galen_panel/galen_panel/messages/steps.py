@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The guide: five steps from nothing to a compensated wrench, and which one is next. No ROS."""
 
 from __future__ import annotations

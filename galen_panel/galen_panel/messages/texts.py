@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Numbers and times as the page writes them: g, mm, N, mN·m. No ROS, no NiceGUI.
 
 What a file or a message has no number for (NaN) is written as "–".

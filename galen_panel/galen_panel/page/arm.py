@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The arm in three dimensions, and how far it bends, exaggerated; the same in numbers below.
 
 A part is shapes fixed to a frame, sent once; a placement holds the frames' poses, sent again and

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 import { STLLoader, THREE } from "nicegui-scene";
 
 // The arm: each part is a group with shapes fixed to it, and only the groups are moved.

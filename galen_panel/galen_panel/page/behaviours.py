@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The behaviours: a card each, to start one, to see what it rejects, and how it ended."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The guided calibration: what is done, what is missing, and the button of the next step."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The page as a whole: tabs below a header.
 
 The header has the active tool, compensation, tare, the worst of all nodes, and what runs.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the sensor and the arm do now: plots, and the arm in three dimensions.
 
 The streams are listened to only while a page shows them: the tab is open and the browser is there.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Each node of the suite: what it is doing, what to do about it, and its numbers."""
 
 from __future__ import annotations

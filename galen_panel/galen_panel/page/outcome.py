@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How a behaviour ended, what a new calibration changes, and what a person may do about it."""
 
 from __future__ import annotations

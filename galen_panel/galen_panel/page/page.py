@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One browser's page: how its parts follow the state, ask for something, and ask a person."""
 
 from __future__ import annotations

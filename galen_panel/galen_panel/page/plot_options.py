@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How the plots look: ECharts' options, plain dictionaries. No ROS, no page.
 
 Six plots of the wrench in two columns (force left, torque right), below them one of the tip's

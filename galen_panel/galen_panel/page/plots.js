@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 window.galenPlots = (() => {
   const looks = new Map(); // id -> [light, dark]
   const coloured = new WeakMap(); // chart -> whether dark

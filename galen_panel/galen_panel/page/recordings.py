@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recordings: find one, have it evaluated or diagnosed, read the reports.
 
 The queue and the reports are the same in every browser.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The tools: a button for each one, which activates it."""
 
 from __future__ import annotations

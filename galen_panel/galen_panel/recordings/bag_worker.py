@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`python -m galen_panel.recordings.bag_worker`: one evaluation or diagnosis, for the panel.
 
 A process of its own, so that what a recording does to it (a crash, want of memory) ends this one

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Evaluations and diagnoses, one after the other, each in a process of its own. No ROS.
 
 The queue is the same for every browser. A worker that fails, is killed or has no memory left is a

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The recordings below a directory, from their metadata alone, and what is done with them. No ROS.
 
 An archive may hold thousands: the search asks the file system only, and metadata is read for those

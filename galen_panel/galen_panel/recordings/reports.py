@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reports on the disk: each a folder of its own, whole or not there, found again after a restart.
 
 A folder holds `report.json` (which recording, which tool, the verdict) and what the command wrote.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The newest snapshot of the suite: services that are there, nodes' reports, gravcomp's tools."""
 
 from __future__ import annotations

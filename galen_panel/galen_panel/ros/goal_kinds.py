@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The three behaviours' actions: goals to messages, feedback and results to words."""
 
 from __future__ import annotations

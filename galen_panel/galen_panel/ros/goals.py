@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Follow the goals of one action: the panel's own and those of other clients.
 
 rclpy's ActionClient follows only goals that it sent itself. An action is three services and two

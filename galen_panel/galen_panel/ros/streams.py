@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Listen to the 500 Hz streams while a page shows them, for as little as can be.
 
 Subscriptions on a node that no executor spins cost nothing when a message comes: it lies in the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The suite over ROS: the services, actions and topics that any client may use."""
 
 from __future__ import annotations

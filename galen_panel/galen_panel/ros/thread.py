@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The panel's ROS side in a thread of its own, beside the server's event loop.
 
 All that touches rclpy happens in that thread. Jobs are handed over, and answers awaited in the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The newest samples of the streams, for plots and files; written and read in two threads. No ROS.
 
 Plots draw few points that look like many: the smallest and the largest of each bucket. Buckets

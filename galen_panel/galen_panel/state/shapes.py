@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The links of an arm as shapes, from its description: primitives, and meshes found here. No ROS.
 
 A mesh of the description becomes triangles here, and only those are offered to a browser, under a

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the page knows of the suite. No ROS.
 
 A snapshot is the same for every browser and is never changed: what is new is another one, with a

@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
 """Goals on the arm: moving it, the action's skeleton and client."""

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the nodes that move the arm share: its trajectories, and who publishes what they hear.
 
 A trajectory goes out on the topic `joint_trajectory`, or, where control_msgs is installed and a

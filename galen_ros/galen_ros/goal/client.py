@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What commands share that send one goal to an action server and show how it goes on a terminal."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Nodes that run goals on the arm: one at a time over all their actions, its inputs and its end."""
 
 from __future__ import annotations

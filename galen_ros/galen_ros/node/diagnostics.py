@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A node's state on /diagnostics, once a period of wall time and whenever it changes."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A managed (lifecycle) node that also starts by itself.
 
 The states are ROS 2's: unconfigured, inactive, active, finalized. A subclass implements

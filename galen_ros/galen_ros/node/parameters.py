@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Declare on a node the parameters of a frozen dataclass (`galen_common.parameters`)."""
 
 from __future__ import annotations

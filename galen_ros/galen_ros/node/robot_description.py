@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The arm of a node, from its parameters or from the topic `robot_description`."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Run one node as a process: executor, signals, exit code, domain."""
 
 from __future__ import annotations

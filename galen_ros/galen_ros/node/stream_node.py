@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the nodes share that take a wrench and joint_states, and make something of each wrench."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Test nodes with real rclpy: private context, own domain, a spinning thread, no sleeping."""
 
 from __future__ import annotations

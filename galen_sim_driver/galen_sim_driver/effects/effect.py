@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Base of all simulated effects: parts of arm, sensor or tracker that the nominal model lacks.
 
 An effect is a frozen dataclass whose fields are its parameters, named as the contract's section 6

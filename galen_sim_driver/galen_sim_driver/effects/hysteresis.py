@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Hysteresis of the deflection (contract, section 6): friction under a load that turns.
 
 Dahl's friction beside the spring of every joint: a joint's spring of nominal stiffness k carries

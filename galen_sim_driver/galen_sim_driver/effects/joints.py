@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Effects of joints and of the base (contract, section 6).
 
 Zero offset: true angle = reported + offset; gain: true = (1 + gain) reported; with both

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Effects of the load on the sensor (contract, section 6).
 
 A tool of another mass, same centre; of another centre; or loose in its mount, whose centre is

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """All effects by name, and their numbers as the contract's files have them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Effects of the sensor and of the tracker (contract, section 6).
 
 Mount rotation: with E = exp(r) the element's axes in ft_sensor, the reading is E^T f and E^T tau,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The simulated cell: arm, sensor, tracker, hand. Steps without ROS, one sample a step.
 
 The reading is the nominal measurement model,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Describe the simulated cell of any arm; the defaults are the nominal Galen.
 
 SI units. Each `validate()` raises ConfigError naming the value.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The arm with the effects of `effects/`, one sample at a time.
 
 They are the same objects that `replay` drives along a recording, called with n = 1; only hooks that

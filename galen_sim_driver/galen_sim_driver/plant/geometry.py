@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rotations and the Jacobian of one sample, in plain floats.
 
 numpy takes microseconds for every call on a 3-vector, and the plant makes hundreds of steps a

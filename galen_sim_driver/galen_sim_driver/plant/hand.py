@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The hand at tool_tip: scripted pushes, and hand-over-hand control.
 
 In admittance mode the wrench, moved from the sensor's origin to the tip, times the gains is the

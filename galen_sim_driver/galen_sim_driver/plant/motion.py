@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Trajectories as joint_trajectory_controller takes them, and joints that follow within limits.
 
 Between two points the reference is linear where they give positions only, cubic where they give

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The force/torque sensor and the optical tracker, with their noise.
 
 The sensing element sees the whole load, so noise, quantum and range act on what is not zeroed yet;

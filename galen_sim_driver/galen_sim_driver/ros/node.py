@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The simulated driver as a ROS node: stands in for arm, force/torque sensor and tracker."""
 
 from __future__ import annotations
