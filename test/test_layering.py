@@ -86,8 +86,8 @@ def may_import_ros(name):
 
 
 @functools.cache
-def ros_on_loading(name):
-    """The ROS imports that loading a module needs, with those of the modules that it loads."""
+def loaded_by(name):
+    """The imports that loading a module takes, with those of the modules that it loads."""
     found, seen, waiting = set(), set(), [name]
     while waiting:
         module = waiting.pop()
@@ -97,9 +97,13 @@ def ros_on_loading(name):
                 continue
             seen.add(parent)
             names = imported(parent)[0]
-            found |= {f"{parent} imports {one}" for one in names if is_ros(one)}
+            found |= {(parent, one) for one in names}
             waiting += names
     return found
+
+
+def ros_on_loading(name):
+    return {f"{module} imports {one}" for module, one in loaded_by(name) if is_ros(one)}
 
 
 @pytest.mark.parametrize("package", PACKAGES)
@@ -160,6 +164,48 @@ def test_what_is_imported_is_declared(package):
     assert needed <= keys | from_pypi
     setup = (ROOT / package / "setup.py").read_text(encoding="utf-8")
     assert {name for name in from_pypi if f'"{name}' not in setup} == set()
+
+
+HEAVY = {"dask", "distributed", "fsspec", "mujoco", "nicegui", "pyarrow", "s3fs", "torch"}
+
+
+def test_compensation_alone_brings_nothing_heavy():
+    """Neither by the packages that galen_gravcomp needs, nor when its executables start."""
+    needed, waiting = set(), ["galen_gravcomp"]
+    while waiting:
+        package = waiting.pop()
+        needed.add(package)
+        folder = ROOT / package
+        if folder.is_dir():
+            xml = (folder / "package.xml").read_text(encoding="utf-8")
+            waiting += set(re.findall("<(?:exec_)?depend>(.*?)<", xml)) - needed
+            found = re.search(r"<!-- No rosdep key, from PyPI: (.*?) -->", xml)
+            needed |= set(found[1].split(", ")) if found else set()
+    assert {"galen_bags", "apsw", "python3-numpy"} <= needed and not HEAVY & needed
+    executables = (ROOT / "galen_gravcomp/galen_gravcomp/executables.py").read_text()
+    started = re.findall(r"\bgalen_gravcomp\.[\w.]+", executables)
+    assert len(started) == 3
+    roots = {one.split(".")[0] for module in started for _, one in loaded_by(module)}
+    assert "numpy" in roots and not (HEAVY | {"matplotlib"}) & roots
+
+
+def installed_with(package):
+    """What a package's setup.py has from PyPI: (always, by extra)."""
+    calls = ast.walk(ast.parse((ROOT / package / "setup.py").read_text(encoding="utf-8")))
+    keywords = {one.arg: one.value for one in calls if isinstance(one, ast.keyword)}
+    extras = keywords.get("extras_require")
+    always = set(ast.literal_eval(keywords["install_requires"])) - {"setuptools"}
+    return always, ast.literal_eval(extras) if extras else {}
+
+
+def test_the_extras_are_those_of_the_packages():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    extras = {"plots": ["matplotlib"], "panel": sorted(installed_with("galen_panel")[0])}
+    for package in PACKAGES:
+        extras |= installed_with(package)[1]
+        if package != "galen_panel":
+            assert installed_with(package)[0] <= set(project["dependencies"])
+    assert project["optional-dependencies"] == extras
 
 
 def test_the_python_package_declares_what_it_imports():

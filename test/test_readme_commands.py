@@ -3,6 +3,8 @@
 
 import re
 import shlex
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -107,6 +109,26 @@ def test_blocks_of_commands_say_which_nodes_they_need(readme):
 
 
 PAGES = sorted({*READMES, *(str(path.relative_to(ROOT)) for path in ROOT.glob("docs/**/*.md"))})
+
+
+# All but sketches, of which names are elsewhere.
+PYTHON = [
+    (page, code)
+    for page in PAGES
+    for code in re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(), re.DOTALL)
+    if "import" in code
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("page", "code"), PYTHON, ids=[page for page, _ in PYTHON])
+def test_python_of_pages_runs(page, code, tmp_path):
+    (tmp_path / "example.py").write_text(code)
+    command = [sys.executable, str(tmp_path / "example.py")]
+    ended = subprocess.run(
+        command, cwd=ROOT, capture_output=True, text=True, timeout=100, check=False
+    )
+    assert ended.returncode == 0, f"{page}: {ended.stderr}"
 
 
 @pytest.mark.parametrize("page", PAGES)

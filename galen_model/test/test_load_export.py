@@ -181,6 +181,46 @@ def test_the_filter_of_control_toolbox_leaves_only_the_constant_that_the_text_na
         np.testing.assert_allclose(place.wrench(reading), expected, atol=1e-9)
 
 
+@pytest.mark.parametrize("frame", FRAMES)
+def test_the_controllers_of_ros2_control_leave_nothing_of_the_calibrations_readings(
+    frame: str,
+) -> None:
+    """As `apply_sensor_offset` and `process_wrench_measurements` of the controllers do it."""
+    text = exported("ros2_control", frame)
+    content = {name: node["ros__parameters"] for name, node in yaml.safe_load(text).items()}
+    broadcaster, admittance = content.values()
+    assert list(content) == ["force_torque_sensor_broadcaster", "admittance_controller"]
+    chain = yaml.safe_load(exported("control_toolbox", frame))["sensor_filter_chain"]
+    assert broadcaster["sensor_filter_chain"] == chain
+    assert broadcaster["frame_id"] == "ft_sensor"
+    offset = [broadcaster["offset"][part][axis] for part in ("force", "torque") for axis in "xyz"]
+    sent = yaml.safe_load(re.search(r"wrench_reference \S+ '(.*)'", text)[1])["wrench"]
+    assert sent == broadcaster["offset"]
+    assert admittance["ft_sensor"]["frame"]["id"] == "ft_sensor"
+    assert admittance["gravity_compensation"]["frame"]["id"] == "ft_sensor"
+    assert admittance["fixed_world_frame"]["frame"]["id"] == "base_link"
+    centre = admittance["gravity_compensation"]["CoG"]
+    weight = np.array([0.0, 0.0, -centre["force"]])
+    place = sensor_in_frame(frame or "ft_sensor", TOOL.tip_m, None, arm=ARM)
+    filtered = chain["filter1"]["params"]["tool"]
+    for angles in np.random.default_rng(2).uniform(-2.0, 2.0, (5, 6)):
+        reading = TOOL.predict(angles) + offset
+        turn = ARM.rotation(angles)
+        np.testing.assert_allclose(turn @ reading[:3] - weight, 0.0, atol=1e-9)
+        torque = turn @ reading[3:] - np.cross(turn @ centre["pos"], weight)
+        np.testing.assert_allclose(torque, 0.0, atol=1e-9)
+        force = filtered["mass"] * place.rotation @ ARM.gravity_in_sensor(angles)
+        expected = np.concatenate([force, np.cross(filtered["CoG"], force)])
+        np.testing.assert_allclose(place.wrench(reading), expected, atol=1e-9)
+
+
+def test_an_inclined_arm_gets_no_parameters_of_the_admittance_controller() -> None:
+    tool = replace(TOOL, gravity_m_s2=np.array([9.80665, 0.0, 0.0]))
+    content = export_load(tool, "ros2_control")
+    assert list(yaml.safe_load(content["text"])) == ["force_torque_sensor_broadcaster"]
+    assert "along -z of its base alone" in content["text"]
+
+
 def test_the_deviations_of_the_whole_are_those_of_drawn_parts() -> None:
     rng = np.random.default_rng(3)
     drawn = [
@@ -232,7 +272,9 @@ def test_what_is_known_and_what_is_not_stands_in_every_format() -> None:
         text = exported(form, "tool0", impossible)
         assert "tool and adapter as one body" in text and "sensor's own mass" in text
         assert "Frame: tool0. ft_sensor lies in it at (0.01 -0.02 0.03) m" in text
-        assert ("is that of no rigid body" in text) == (form != "control_toolbox")
+        assert ("is that of no rigid body" in text) == (
+            form not in ("control_toolbox", "ros2_control")
+        )
         assert "export again" not in text
         content = export_load(TOOL, form)
         robots = ("ur", "franka", "franka-desk", "xarm", "kuka")

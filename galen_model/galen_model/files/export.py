@@ -12,8 +12,10 @@ the centre is I_c = I - m (c.c 1 - c c^T), turned into the frame's axes.
 
 Sources: URScript's set_target_payload (inertia about the centre, the flange's axes), libfranka's
 Robot::setLoad and RobotState::I_load (the same, column-major), KUKA's load data (principal axes at
-the centre; A, B, C turn about z, y', x''), urdf/XML/link, control_toolbox's
-gravity_compensation_filter_parameters.yaml (Jazzy).
+the centre; A, B, C turn about z, y', x''), urdf/XML/link; of Jazzy control_toolbox's
+gravity_compensation_filter_parameters.yaml, and ros2_controllers' force_torque_sensor_broadcaster
+(which adds its offset) and admittance_controller (CoG.force is a weight along -z of
+fixed_world_frame, CoG.pos lies at ft_sensor's origin, and a wrench_reference is added).
 """
 
 from __future__ import annotations
@@ -39,6 +41,7 @@ from galen_model.rotation import matrix_to_rotvec
 _DENSITY_KG_M3 = 7850.0
 _DECIMALS = 12
 _ROBOTS = ("ur", "franka", "franka-desk", "xarm", "kuka")
+_WITHOUT_INERTIA = ("control_toolbox", "ros2_control")
 
 
 def hung_load(tool: CalibrationFile) -> LoadEstimate:
@@ -81,7 +84,7 @@ def export_load(tool: CalibrationFile, form: str, frame: str = "") -> dict[str, 
     joints move against the sensor, FrameNeedsJointsError.
     """
     known = ("", tool.sensor_frame, TIP_FRAME)
-    if not tool.arm.urdf and (frame not in known or form == "control_toolbox"):
+    if not tool.arm.urdf and (frame not in known or form in _WITHOUT_INERTIA):
         what = f"the frame '{frame}'" if frame not in known else "the base frame"
         raise FrameError(
             f"{what} is in the description of the arm '{tool.arm.name}': give --urdf FILE and"
@@ -99,7 +102,7 @@ def export_load(tool: CalibrationFile, form: str, frame: str = "") -> dict[str, 
             "The robot takes it in the flange's frame: where that is another one, export again with"
             " its name as the frame (such as tool0) and the robot's URDF."
         )
-    if inertia is None and form != "control_toolbox":
+    if inertia is None and form not in _WITHOUT_INERTIA:
         notes.append(f"No inertia: {found}.")
     # Names come from files: they must not end a comment, nor hold what XML forbids in one.
     comments = [comment.format(" ".join(note.replace("--", "- -").split())) for note in notes]
@@ -241,11 +244,11 @@ def _urdf(load: LoadEstimate, inertia: Array | None, *_: object) -> _Lines:
 def _control_toolbox(
     load: LoadEstimate, _: Array | None, frame: str, tool: CalibrationFile
 ) -> _Lines:
-    offset = tool.residual_offset - gravity_wrench(tool.gravity_at_zeroing, tool.adapter.load)
     notes = [
         "Parameters of control_toolbox's gravity compensation in a filter chain (Jazzy).",
         f"The filter subtracts no constant: in {tool.sensor_frame} the sensor, zeroed as at the"
-        f" calibration, reads ({_row(offset)}) N, N.m more than this load. Subtract that first.",
+        f" calibration, reads ({_row(_constant(tool))}) N, N.m more than this load. Subtract that"
+        " first.",
     ]
     notes += [
         f"The calibration has a {part}, which the filter has not."
@@ -267,6 +270,53 @@ def _control_toolbox(
     ]
 
 
+def _ros2_control(load: LoadEstimate, _: Array | None, frame: str, tool: CalibrationFile) -> _Lines:
+    (_about, _constant_left, *lacking), chain = _control_toolbox(load, None, frame, tool)
+    notes = ["Parameters beside those of docs/how-to/ros2-control.md (Jazzy).", *lacking]
+    force, torque = (
+        "{{x: {}, y: {}, z: {}}}".format(*map(_number, part))
+        for part in np.split(-_constant(tool), 2)
+    )
+    sensor, base = json.dumps(tool.sensor_frame), json.dumps(tool.arm.base_frame)
+    lines = [
+        "force_torque_sensor_broadcaster:",
+        "  ros__parameters:",
+        f"    frame_id: {sensor}",
+        "    offset:",
+        f"      force: {force}",
+        f"      torque: {torque}",
+        *(f"    {line}" for line in chain),
+    ]
+    weight = tool.gravity_m_s2[2] * load.mass_kg
+    if weight >= 0.0 or np.any(tool.gravity_m_s2[:2]):
+        notes.append(
+            "Nothing for admittance_controller: it takes gravity along -z of its base alone, and"
+            f" this arm's is ({_row(tool.gravity_m_s2)}) m/s^2 in {tool.arm.base_frame}."
+        )
+        return notes, lines
+    call = "ros2 topic pub --once /admittance_controller/wrench_reference"
+    message = f"{{wrench: {{force: {force}, torque: {torque}}}}}"
+    notes.append("admittance_controller has no offset: send it after each activation, as below.")
+    return notes, [
+        f"# {call} geometry_msgs/msg/WrenchStamped '{message}'",
+        *lines,
+        "admittance_controller:",
+        "  ros__parameters:",
+        f"    ft_sensor: {{frame: {{id: {sensor}}}}}",
+        f"    fixed_world_frame: {{frame: {{id: {base}}}}}",
+        "    gravity_compensation:",
+        f"      frame: {{id: {sensor}}}",
+        "      CoG:",
+        f"        pos: [{_row(hung_load(tool).com_m, ', ')}]",
+        f"        force: {_number(-weight)}",
+    ]
+
+
+def _constant(tool: CalibrationFile) -> Array:
+    """Return what the sensor, zeroed as at the calibration, reads beside the load (6,), N, N m."""
+    return tool.residual_offset - gravity_wrench(tool.gravity_at_zeroing, tool.adapter.load)
+
+
 _Lines = tuple[list[str], list[str]]
 FORMATS: dict[str, tuple[Callable[..., _Lines], str]] = {
     "ur": (_ur, "# {}"),
@@ -276,6 +326,7 @@ FORMATS: dict[str, tuple[Callable[..., _Lines], str]] = {
     "kuka": (_kuka, "; {}"),
     "urdf": (_urdf, "<!-- {} -->"),
     "control_toolbox": (_control_toolbox, "# {}"),
+    "ros2_control": (_ros2_control, "# {}"),
 }
 """By name: what writes it, and its comments."""
 
