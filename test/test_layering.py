@@ -189,6 +189,19 @@ def test_compensation_alone_brings_nothing_heavy():
     assert "numpy" in roots and not (HEAVY | {"matplotlib"}) & roots
 
 
+SLOW_TO_LOAD = re.compile(r"scipy\.(interpolate|ndimage|optimize|signal|stats)\b")
+
+
+@pytest.mark.parametrize(
+    "module",
+    [*(name for name in modules() if re.search(r"\.ros\.\w*node$", name)), "galen_panel.server"],
+)
+def test_what_runs_on_the_robot_starts_without_the_slow_parts_of_scipy(module):
+    """Each takes 0.2 to 1 s; `import scipy` loads them when they are used."""
+    found = {one for one in loaded_by(module) if SLOW_TO_LOAD.match(one[1])}
+    assert found == set()
+
+
 def installed_with(package):
     """What a package's setup.py has from PyPI: (always, by extra)."""
     calls = ast.walk(ast.parse((ROOT / package / "setup.py").read_text(encoding="utf-8")))

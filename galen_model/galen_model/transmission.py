@@ -33,7 +33,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import lfilter
+import scipy  # its parts are loaded when they are used
 
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
@@ -316,7 +316,7 @@ def velocity(run: JointRun, window_s: float) -> Array:
     count = max(4, round(window_s / run.step_s) + 1)
     back = -run.step_s * np.arange(count)  # newest first
     slope = np.linalg.pinv(np.stack([np.ones(count), back, back**2], axis=1))[1]
-    found = np.asarray(lfilter(slope, [1.0], run.motor))
+    found = np.asarray(scipy.signal.lfilter(slope, [1.0], run.motor))
     # too few readings for a parabola yet: a line from the first one
     first = np.arange(min(count - 1, len(run)))
     found[first] = (run.motor[first] - run.motor[0]) / (run.step_s * np.maximum(first, 1))

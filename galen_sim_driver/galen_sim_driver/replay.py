@@ -23,6 +23,7 @@ from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 import numpy as np
+import scipy  # its parts are loaded when they are used
 from galen_model.arm.arm import Arm
 from galen_model.arm.sensor_motion import SensorMotion, sensor_motion
 from galen_model.arrays import Array
@@ -30,7 +31,6 @@ from galen_model.load.inertia import inertial_wrench, point_mass_inertia
 from galen_model.load.model import Load, ToolGeometry
 from galen_model.registration import move_wrench
 from galen_model.rotation import rotvec_to_matrix
-from scipy.signal import savgol_filter
 
 from galen_sim_driver.effects.effect import (
     Effect,
@@ -431,6 +431,6 @@ def rates(at_s: Array, joints: Array) -> tuple[Array, Array]:
             continue
         on_even = _interpolated(even, here, joints[rows])
         for order, out in ((1, velocity), (2, acceleration)):
-            fitted = savgol_filter(on_even, window, 3, deriv=order, delta=step, axis=0)
+            fitted = scipy.signal.savgol_filter(on_even, window, 3, deriv=order, delta=step, axis=0)
             out[rows] = _interpolated(here, even, fitted)
     return velocity, acceleration

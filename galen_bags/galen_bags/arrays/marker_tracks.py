@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # its parts are loaded when they are used
 from galen_model.registration import Transform
 from galen_model.rotation import quaternion_to_matrix
-from scipy.ndimage import median_filter
 
 from galen_bags.arrays.arm_recording import (
     POSE_TYPE,
@@ -173,7 +173,7 @@ def _elsewhere(values: np.ndarray) -> np.ndarray:
     turned = np.sum(values[1:, 3:] * values[:-1, 3:], axis=1) < 0.0
     values[1:, 3:] *= np.where(np.cumsum(turned) % 2 == 1, -1.0, 1.0)[:, None]
     with np.errstate(over="ignore"):
-        off = values - median_filter(values, size=(_AROUND, 1), mode="nearest")
+        off = values - scipy.ndimage.median_filter(values, size=(_AROUND, 1), mode="nearest")
         shift, half_turn = (np.linalg.norm(part, axis=1) for part in (off[:, :3], off[:, 3:]))
     return (shift > _ELSEWHERE_M) | (2.0 * half_turn > _ELSEWHERE_RAD)
 

@@ -30,6 +30,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+import scipy  # its parts are loaded when they are used
 from galen_model.arm.arm import STANDARD_GRAVITY_M_S2, Arm
 from galen_model.arm.galen import GALEN, WRENCH_AXES
 from galen_model.arrays import Array
@@ -37,7 +38,6 @@ from galen_model.errors import GalenError
 from galen_model.rest.segments import DirectionRest, rest_by_direction
 from galen_model.rotation import quaternion_to_matrix, rot_x, rot_y, rot_z
 from galen_model.setup_check.readings import StillReadings
-from scipy.interpolate import CubicSpline
 
 _MOST_BYTES = 1 << 30
 # No reading, stamp or gain is larger, in whatever units; products of such numbers are finite.
@@ -636,7 +636,7 @@ def read_specific(path: Path, unit_m_s2: float) -> Array:
     return unit_m_s2 * np.column_stack([text.require(name) for name in _IMU])
 
 
-def moving(time_s: Array, gravity: CubicSpline) -> np.ndarray:
+def moving(time_s: Array, gravity: scipy.interpolate.CubicSpline) -> np.ndarray:
     """Whether gravity turns, or has or will within a quarter of a second, at each moment."""
     around = [gravity(time_s + shift) for shift in (-_REST_S / 2.0, _REST_S / 2.0)]
     change = np.linalg.norm(around[1] - around[0], axis=1) / 9.8

@@ -37,6 +37,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # its parts are loaded when they are used
 from galen_model.arrays import Array
 from galen_model.calibrated import columns
 from galen_model.calibrated.columns import moment_covariance
@@ -57,7 +58,6 @@ from galen_model.load.mounting import Mounting
 from galen_model.load.readings import single_load_design
 from galen_model.poses.design import workspace
 from galen_model.rest.segments import PoseRecord
-from scipy.optimize import brentq
 
 from galen_calibration_behavior.common.sweep import stack
 
@@ -303,7 +303,9 @@ def smallest_mass_kg(load_information: Array, tool: CalibrationFile, false_alarm
 def _noncentrality(freedom: int, false_alarm: float, power: float = 0.95) -> float:
     threshold = chi2_isf(false_alarm, freedom)
     return float(
-        brentq(lambda size: noncentral_chi2_sf(threshold, freedom, size) - power, 1e-3, 1e3)
+        scipy.optimize.brentq(
+            lambda size: noncentral_chi2_sf(threshold, freedom, size) - power, 1e-3, 1e3
+        )
     )
 
 

@@ -24,9 +24,9 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
+import scipy  # its parts are loaded when they are used
 from galen_model.arrays import Array
 from galen_model.estimation.least_squares import Information
-from scipy.optimize import nnls
 
 from galen_deflection.measurement.samples import DeflectionError, DeflectionSamples, check_to_fit
 from galen_deflection.models.interface import FitSettings, FittedRange, fitted_on
@@ -155,7 +155,7 @@ def solve(blocks: Information, parameters: Sequence[Parameter]) -> Solution:
     kept = eigenvalue > 1e-12 * eigenvalue[-1]
     root = np.sqrt(eigenvalue[kept])
     rows, wanted = root[:, None] * vectors[:, kept].T, vectors[:, kept].T @ (right / scale) / root
-    solver = np.linalg.lstsq if parameters[0].signed else nnls
+    solver = np.linalg.lstsq if parameters[0].signed else scipy.optimize.nnls
     values[used] = solver(rows[:, used], wanted)[0]
     values /= scale
     free = used & ((values > 0.0) | [p.prior_std is not None for p in parameters])

@@ -25,12 +25,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy  # its parts are loaded when they are used
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_ppf
 from galen_model.evidence.verdict import Limits
 from rich.table import Table
-from scipy.optimize import nnls
 
 from galen_gravcomp.evaluate.drift_series import DriftSeries
 from galen_gravcomp.evaluate.report import Report, table
@@ -105,7 +105,7 @@ def _fit(tau: Array, variance: Array, freedom: Array, white: Array) -> Array:
         weight = np.sqrt(freedom / 2.0) / expected
         weighted = basis * weight[:, None]
         size = np.maximum(np.linalg.norm(weighted, axis=0), 1e-300)
-        squares = nnls(weighted / size, variance * weight)[0] / size
+        squares = scipy.optimize.nnls(weighted / size, variance * weight)[0] / size
         expected = np.maximum(basis @ squares, floor)
     return np.asarray(squares)
 

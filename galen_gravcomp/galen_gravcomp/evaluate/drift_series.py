@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import scipy  # its parts are loaded when they are used
 from galen_bags.arrays.arm_recording import (
     JOINT_STATE_TYPE,
     WRENCH_TYPE,
@@ -37,7 +38,6 @@ from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.rest.binned import CellReducer, Cells
-from scipy.ndimage import median_filter
 
 CELL_S = 1.0
 _WINDOW_CELLS = 600
@@ -253,7 +253,7 @@ def _contact(reading: Array, scatter: Array) -> np.ndarray:
     window = _WINDOW_CELLS | 1
     for channel in range(6):
         value = reading[rows, channel]
-        off = value - median_filter(value, window, mode="nearest")
+        off = value - scipy.ndimage.median_filter(value, window, mode="nearest")
         scale = _MAD_TO_STD * np.median(np.abs(off))
         far = np.abs(off) > _TOUCH_SIGMAS * max(scale, 1e-9)
         # A filter that is late at a jump that stays is no contact: only what comes back counts.
@@ -271,7 +271,7 @@ def _steps(reading: Array, cell_s: float) -> tuple[tuple[float, Array], ...]:
     if len(rows) < 6 * length:
         return ()
     known = reading[rows]
-    medians = median_filter(known, size=(length | 1, 1), mode="nearest")
+    medians = scipy.ndimage.median_filter(known, size=(length | 1, 1), mode="nearest")
     change = medians[length:] - medians[:-length]
     scale = np.maximum(_MAD_TO_STD * np.median(np.abs(change), axis=0), 1e-9)
     over = np.max(np.abs(change) / scale, axis=1)

@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+import scipy  # its parts are loaded when they are used
 from galen_bags.arrays.tables import MotionTable, OrientationTable, moving
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
@@ -24,7 +25,6 @@ from galen_model.load.inertia import ImuFit, fit_imu
 from galen_model.load.model import gravity_regressor
 from galen_model.rotation import rotvec_to_matrix
 from rich.table import Table
-from scipy.interpolate import CubicSpline
 
 from galen_gravcomp.evaluate.report import Report, axes_table, axis_cells, by_axis
 from galen_gravcomp.evaluate.residual import rms
@@ -57,8 +57,8 @@ def imu_run_report(still: OrientationTable, specific: Array, run: MotionTable) -
         raise GalenError(
             f"wrench, IMU and orientations lie together in fewer than {_FEWEST} readings"
         )
-    gravity = CubicSpline(run.gravity_s, run.gravity)
-    at = CubicSpline(run.imu_s, felt)
+    gravity = scipy.interpolate.CubicSpline(run.gravity_s, run.gravity)
+    at = scipy.interpolate.CubicSpline(run.imu_s, felt)
     in_motion = moving(time_s, gravity)
     if np.count_nonzero(~in_motion) < _FEWEST_REST or np.count_nonzero(in_motion) < _FEWEST:
         raise GalenError("the run must hold motion, and rest to tare in")

@@ -11,8 +11,7 @@ import itertools
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import dijkstra
+import scipy  # its parts are loaded when they are used
 
 from galen_model.arm.clearance import ArmClearance, ObstacleError
 from galen_model.arrays import Array
@@ -101,8 +100,8 @@ class Router:
                     # Poses that coincide, as home and a node may, are joined all the same.
                     lengths.append(max(_length(self._nodes[one], self._nodes[other]), 1e-9))
         count = len(self._nodes)
-        graph = coo_array((lengths, (rows, columns)), shape=(count, count)).tocsr()
-        found = dijkstra(graph, directed=False, return_predecessors=True)
+        graph = scipy.sparse.coo_array((lengths, (rows, columns)), shape=(count, count)).tocsr()
+        found = scipy.sparse.csgraph.dijkstra(graph, directed=False, return_predecessors=True)
         return found[0], found[1]
 
     def _joined(self, joints: Array) -> list[int]:

@@ -23,8 +23,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
-from scipy.optimize import minimize
+import scipy  # its parts are loaded when they are used
 
 from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN
@@ -126,7 +125,7 @@ def fit_cable(
     begin = np.concatenate([prior, problem.first_attachment()]) if start is None else start
     # The logarithms stay within e^-6 to e^6 of where they are plausible: beyond, exp() overflows.
     bounds = [(centre - 6.0, centre + 6.0) for centre in prior] + [(-1.0, 1.0)] * 3
-    found = minimize(
+    found = scipy.optimize.minimize(
         problem,
         begin,
         jac=True,
@@ -203,10 +202,10 @@ class _Likelihood:
         scatter2 = np.tile((scatter * sweep.noise) ** 2, n)
         covariance[np.diag_indices(6 * n)] += sweep.std_of_mean.ravel() ** 2 + scatter2
         try:
-            factor = cho_factor(covariance, lower=True)
+            factor = scipy.linalg.cho_factor(covariance, lower=True)
         except np.linalg.LinAlgError:
             return np.inf, np.zeros_like(vector)
-        inverse = cho_solve(factor, np.eye(6 * n))
+        inverse = scipy.linalg.cho_solve(factor, np.eye(6 * n))
         weights = inverse @ sweep.wrench.ravel()
         away = (vector - self._mean) / self._width
         value = (

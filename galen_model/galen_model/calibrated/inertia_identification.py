@@ -34,7 +34,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
+import scipy  # its parts are loaded when they are used
 
 from galen_model.arm.arm import Arm
 from galen_model.arm.sensor_motion import sensor_motion
@@ -110,9 +110,9 @@ def motion_record(
                 " are needed to tell motion"
             )
         time_s = np.arange(first_s, last_s, period_s)
-        sections = butter(_ORDER, cutoff_hz, fs=1.0 / period_s, output="sos")
+        sections = scipy.signal.butter(_ORDER, cutoff_hz, fs=1.0 / period_s, output="sos")
         smooth, felt = (
-            sosfiltfilt(sections, _at(time_s, own_s, values), axis=0)
+            scipy.signal.sosfiltfilt(sections, _at(time_s, own_s, values), axis=0)
             for own_s, values in ((joint_s, joints), (wrench_s, wrenches))
         )
         velocity = np.gradient(smooth, period_s, axis=0)

@@ -9,7 +9,7 @@ recording in motion has its least there. d is sought on a grid, then between its
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+import scipy  # its parts are loaded when they are used
 
 from galen_model.arm.arm import Arm
 from galen_model.arrays import Array
@@ -59,7 +59,7 @@ def check_stamps(
     grid = np.arange(-LONGEST_SHIFT_S, LONGEST_SHIFT_S + _STEP_S / 2.0, _STEP_S)
     best = float(grid[np.argmin([badness(delay_s) for delay_s in grid])])
     bounds = (best - _STEP_S, best + _STEP_S)
-    delay_s = float(minimize_scalar(badness, bounds=bounds, method="bounded").x)
+    delay_s = float(scipy.optimize.minimize_scalar(badness, bounds=bounds, method="bounded").x)
     if abs(delay_s) < LEAST_SHIFT_S:
         return None
     late, early = ("wrench", "joints") if delay_s > 0.0 else ("joints", "wrench")

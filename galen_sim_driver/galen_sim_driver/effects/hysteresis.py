@@ -75,14 +75,13 @@ from functools import cache, partial
 from typing import ClassVar, Self
 
 import numpy as np
+import scipy  # its parts are loaded when they are used
 from galen_common.parameters import param
 from galen_model.arm.arm import Arm
 from galen_model.arrays import Array
 from galen_model.load.model import TOOLS
 from galen_model.registration import move_twist
 from numpy.typing import ArrayLike
-from scipy.optimize import brentq, minimize_scalar
-from scipy.special import lambertw
 
 from galen_sim_driver.effects.effect import (
     ConfigError,
@@ -102,7 +101,7 @@ def slide(ratio: float, phi: Array, change: Array) -> Array:
     sign = np.sign(change)
     gap = 1.0 - sign * phi
     shift = ratio * (np.abs(change) - gap)
-    way = shift + lambertw(ratio * gap * np.exp(-shift)).real
+    way = shift + scipy.special.lambertw(ratio * gap * np.exp(-shift)).real
     # Without a change the way is nothing but rounding, and there is no sign to go to.
     moved = sign * (1.0 - gap * np.exp(-np.maximum(way, 0.0)))
     return np.where(change == 0.0, phi, moved)
@@ -110,7 +109,7 @@ def slide(ratio: float, phi: Array, change: Array) -> Array:
 
 def residual_fraction(ratio: float, way: float) -> float:
     """Return y_0 / Y of a first push to Y = `way`; `ratio` is a."""
-    left = ratio - lambertw(ratio * (2.0 - np.exp(-way)) * np.exp(ratio - way)).real
+    left = ratio - scipy.special.lambertw(ratio * (2.0 - np.exp(-way)) * np.exp(ratio - way)).real
     return float(left / way)
 
 
@@ -125,7 +124,7 @@ def shape(largest_fraction: float) -> tuple[float, float]:
 
     def peak(ratio: float) -> float:
         # Little friction has its peak at Y = 1.26, much friction at Y near a.
-        found = minimize_scalar(
+        found = scipy.optimize.minimize_scalar(
             lambda way: -residual_fraction(ratio, way),
             bounds=(0.5, 3.0 + 2.0 * ratio),
             method="bounded",
@@ -134,7 +133,7 @@ def shape(largest_fraction: float) -> tuple[float, float]:
         return float(found.x)
 
     # It is 0.41 a for a small a, and less for others.
-    ratio = brentq(
+    ratio = scipy.optimize.brentq(
         lambda a: residual_fraction(a, peak(a)) - largest_fraction,
         2.0 * largest_fraction,
         100.0 * largest_fraction,
