@@ -304,12 +304,13 @@ def _biases(
     by_axis: bool,
 ) -> tuple[LoadStructure, Array]:
     """Choose forces' and torques' biases under one response; its density (blocks, 6)."""
-    tried = {}
+    scores: dict[Shapes, tuple[Array, Array]] = {}
     for shape in _shapes(readings, near.problem, used):
         if progress is not None:
             progress(f"comparing: {LoadStructure(near, (shape,) * 6, np.zeros(0))}")
-        tried[shape] = _held_out(near.problem, (shape,) * 6, used, groups)[1]
-    shapes: list[BiasShape] = []
+        scores[(shape,) * 6] = _held_out(near.problem, (shape,) * 6, used, groups)
+    tried = {shape: density for (shape, *_), (_, density) in scores.items()}
+    shapes: Shapes = ()
     for axes in KINDS:
         chosen, density = [CONSTANT] * 3, tried[CONSTANT][:, axes]
         # steps and temperature have to pay beside the curve that does without
@@ -325,16 +326,16 @@ def _biases(
                 pairs = zip(chosen, needed[best], strict=True)
                 chosen = [best if need else shape for shape, need in pairs]
                 density = np.where(needed[best], tried[best][:, axes], density)
-        shapes += chosen
-    residuals, density = _held_out(near.problem, shapes, used, groups)
+        shapes += tuple(chosen)
+    residuals, density = scores.get(shapes) or _held_out(near.problem, shapes, used, groups)
     # beside the others' curves an axis may need none, which then costs its prediction
     for axis in range(6) if by_axis else ():
-        without = [CONSTANT if k == axis else shape for k, shape in enumerate(shapes)]
+        without = tuple(CONSTANT if k == axis else shape for k, shape in enumerate(shapes))
         if without != shapes:
             other, sums = _held_out(near.problem, without, used, groups)
             if np.nansum(sums) >= np.nansum(density):
                 shapes, residuals, density = without, other, sums
-    return LoadStructure(near, tuple(shapes), residuals), density
+    return LoadStructure(near, shapes, residuals), density
 
 
 def _held_out(
