@@ -108,6 +108,8 @@ _WRENCH, _TRACKER = "wrench", "tracker"
 _POSE = ("true_joints", "misaligned")
 _UNTOUCHED = (*_POSE, "gravity", "tool_load", "wrench")
 """Hooks of the true wrench without contact."""
+_READ = (*_UNTOUCHED, "read", "unread")
+"""Hooks of the reading."""
 
 
 class Replay:
@@ -157,6 +159,9 @@ class Replay:
 
         A sensor that remembers has that of the pushes before.
         """
+        return self._shared("reading", _WRENCH, _READ, self._reading)
+
+    def _reading(self) -> Array:
         when, true = self._untouched()
         remembering = set(self._overriding(("read",))) & set(self._overriding(("fresh",)))
         if not remembering or not self.scene.touched.any():
@@ -166,6 +171,9 @@ class Replay:
 
     def applied_wrench(self) -> Array:
         """Return the applied wrench (nw, 6) in ft_sensor; zero without contact."""
+        return self._shared("applied", _WRENCH, _READ, self._applied_wrench)
+
+    def _applied_wrench(self) -> Array:
         when, true = self._untouched()
         pushed = self.scene.reading
         for effect in reversed(self.effects):
