@@ -19,7 +19,10 @@ setup(
         "lz4",
         "rosbags",
     ],
-    extras_require={"archive": ["dask", "distributed", "fsspec", "pyarrow", "s3fs"]},
+    extras_require={
+        "test": ["pytest"],
+        "archive": ["dask", "distributed", "fsspec", "pyarrow", "s3fs"],
+    },
     zip_safe=True,
     maintainer="The Galen suite's authors",
     maintainer_email="galen@example.org",

@@ -19,6 +19,7 @@ setup(
         ("share/" + package_name + "/config/sros2/common", glob("config/sros2/common/*.xml")),
     ],
     install_requires=["setuptools"],
+    extras_require={"test": ["pytest"]},
     zip_safe=True,
     maintainer="The Galen suite's authors",
     maintainer_email="galen@example.org",

@@ -13,7 +13,7 @@ setup(
         ("share/" + package_name, ["package.xml"]),
     ],
     install_requires=["setuptools"],
-    extras_require={"networks": ["torch"]},
+    extras_require={"test": ["pytest"], "networks": ["torch"]},
     zip_safe=True,
     maintainer="The Galen suite's authors",
     maintainer_email="galen@example.org",
