@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 # Source this in bash or zsh to enter the workspace's environment:  source scripts/env.sh
-# It puts ROS 2, the Python environment and the built packages on this shell's paths.
+# It puts ROS 2, the Python environment and the built packages on this shell's paths. It is also
+# install/setup.bash, and local_setup.bash of install/ and of .venv/, which the setup.bash of a colcon
+# workspace on top of them sources; in .venv/ it leaves out what `make` built.
 
 if [ -n "${BASH_VERSION:-}" ]; then
   _galen_file="${BASH_SOURCE[0]}"
@@ -12,11 +14,12 @@ else
   echo "error: scripts/env.sh needs bash or zsh" >&2
   return 1
 fi
-_galen_root="$(cd -- "$(dirname -- "$_galen_file")/.." > /dev/null && pwd -P)"
+_galen_folder="$(cd -- "$(dirname -- "$_galen_file")" > /dev/null && pwd -P)"
+_galen_root="${_galen_folder%/*}"
 
 if [ ! -f "$_galen_root/.venv/galen_env.sh" ]; then
   echo "error: no environment in $_galen_root/.venv; run 'make build' there first" >&2
-  unset _galen_file _galen_shell _galen_root
+  unset _galen_file _galen_shell _galen_folder _galen_root
   return 1
 fi
 
@@ -34,6 +37,7 @@ if [ "$GALEN_ENV_KIND" = ros ]; then
   fi
 else
   _galen_prepend AMENT_PREFIX_PATH "$_galen_root/.venv"
+  _galen_prepend CMAKE_PREFIX_PATH "$_galen_root/.venv"
   # Another environment's wheels may have set it: these have to put their own libraries on the path.
   unset _ROS_WHEELS_BOOTSTRAP_COMPLETE
   # Shared memory of a killed process makes Fast DDS complain in red; UDP has no such leftovers.
@@ -57,14 +61,13 @@ case ":$PATH:" in
   *) export PATH="$PATH:$_galen_root/scripts/fallback_bin" ;;
 esac
 
-if [ -f "$_galen_root/install/galen_build_stamp" ]; then
+if [ "${_galen_folder##*/}" != .venv ] && [ -f "$_galen_root/install/galen_build_stamp" ]; then
   _galen_prepend AMENT_PREFIX_PATH "$_galen_root/install"
+  _galen_prepend CMAKE_PREFIX_PATH "$_galen_root/install"
   _galen_prepend PYTHONPATH "$_galen_root/install/python"
   _galen_prepend LD_LIBRARY_PATH "$_galen_root/install/lib" # the messages' type support
-else
-  echo "note: nothing is built yet; run 'make build' in $_galen_root" >&2
 fi
 
 if [ -n "$_galen_nounset" ]; then set -u; fi
-unset _galen_file _galen_shell _galen_root _galen_nounset
+unset _galen_file _galen_shell _galen_folder _galen_root _galen_nounset
 unset -f _galen_prepend

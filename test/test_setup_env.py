@@ -597,14 +597,16 @@ def test_the_stand_in_tells_what_it_can(arguments, code, word):
     assert word in done.stdout + done.stderr
 
 
+@pytest.mark.parametrize("file", ["scripts/env.sh", "install/setup."])
 @pytest.mark.parametrize("shell", ["bash", "zsh"])
-def test_the_shell_enters_from_any_folder_and_twice(tmp_path, shell):
+def test_the_shell_enters_from_any_folder_and_twice(tmp_path, shell, file):
     program = shutil.which(shell)
     if program is None:
         pytest.skip(f"no {shell} on this machine")
+    file = file + shell if file.endswith(".") else file
     code = f"""
         set -eu
-        source '{ROOT}/scripts/env.sh'; source '{ROOT}/scripts/env.sh'
+        source '{ROOT}/{file}'; source '{ROOT}/{file}'
         case $- in *u*) echo nounset kept ;; esac
         command -v python
         echo "$PATH" | tr : '\\n' | grep -c '/.venv/bin'
@@ -624,3 +626,16 @@ def test_the_shell_enters_from_any_folder_and_twice(tmp_path, shell):
     expected = ["nounset kept", str(ROOT / ".venv" / "bin" / "python"), "1", "imports", "runs"]
     assert done.stdout.splitlines() == expected
     assert "usage" in (tmp_path / "help.txt").read_text()
+
+
+def test_a_workspace_on_the_environment_alone_sees_nothing_that_make_built(tmp_path):
+    done = subprocess.run(
+        ["bash", "-c", f"source '{ROOT}/.venv/local_setup.bash'; env"],
+        cwd=tmp_path,
+        env={"PATH": os.defpath},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert f"VIRTUAL_ENV={ROOT}/.venv" in done.stdout
+    assert f"{ROOT}/install" not in done.stdout

@@ -8,7 +8,7 @@ import os
 import shutil
 from pathlib import Path
 
-from .environment import Environment
+from .environment import Environment, link_setup
 from .machine import Progress, SetupError
 
 # The packages are linked: an edit in these folders or of a .py file needs no build.
@@ -71,8 +71,6 @@ def build(environment: Environment) -> None:
     configure = ["cmake", "-S", str(root / "galen_msgs"), "-B", str(messages)]
     configure += [f"-DCMAKE_INSTALL_PREFIX={install}", "-DPYTHON_INSTALL_DIR=python"]
     configure += [f"-DPython3_EXECUTABLE={environment.python}", "-DBUILD_TESTING=OFF"]
-    # An installed ROS has recorders and tools in C++, and may have another middleware.
-    configure.append(f"-DPYTHON_ONLY={'OFF' if environment.ros else 'ON'}")
     jobs = str(os.cpu_count() or 1)
     link = Path(__file__).with_name("link.py")
     steps = {
@@ -88,6 +86,7 @@ def build(environment: Environment) -> None:
                     raise SetupError(f"the disk is full: free some space; see {log}")
                 print("\n" + "\n".join(text.splitlines()[-20:]), flush=True)
                 raise SetupError(f"{name} failed; see {os.path.relpath(log, root)}")
+    link_setup(root, install, "setup", "local_setup")
     stamp.write_text(key, encoding="utf-8")
 
 

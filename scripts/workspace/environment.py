@@ -278,6 +278,7 @@ class Environment:
         bare = {k: v for k, v in self.environ.items() if k != "PYTHONPATH"}
         self._run(command, bare, f"{interpreter.path} could not make an environment")
         (self.path / "COLCON_IGNORE").touch()
+        link_setup(self.root, self.path, "local_setup")
 
         pins = {group: read_pins(self.root / "requirements" / f"{group}.txt") for group in GROUPS}
         installed = json.loads(self._ask(_INSTALLED)) if self.ros else {}
@@ -376,6 +377,13 @@ class Environment:
         unfinished = self.path / (STAMP_NAME + ".new")
         unfinished.write_text(json.dumps(stamp, indent=2) + "\n", encoding="utf-8")
         unfinished.replace(self.path / STAMP_NAME)
+
+
+def link_setup(root: Path, prefix: Path, *names: str) -> None:
+    """Make scripts/env.sh the set-up scripts ``names`` of ``prefix``, a folder in ``root``."""
+    for name in names:
+        for shell in ("bash", "zsh"):
+            (prefix / f"{name}.{shell}").symlink_to(root / "scripts" / "env.sh")
 
 
 def clean_environ(environ: Mapping[str, str], root: Path) -> dict[str, str]:
