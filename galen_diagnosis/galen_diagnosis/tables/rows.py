@@ -260,7 +260,7 @@ def _memory(residual: Array, time_s: Array, which: np.ndarray) -> tuple[float, f
     if first < _SIGMAS / np.sqrt(scaled.size):
         return 0.0, 1.0
     lag = 1
-    while lag < len(scaled) // 4 and correlation(lag) > first / np.e:
+    while lag < len(scaled) // 4 and correlation(lag) > first * np.exp(-1.0):
         lag += 1
     return min(first * float(np.exp(1.0 / lag)), 0.99), lag * step_s
 
