@@ -2,7 +2,8 @@
 """From readings to blocks of rows and effects: a table with orientations, or one joint's runs.
 
 A table with time is cut into its rest segments, blocks of averages over short windows. One without
-time is a row a reading; readings under the same gravity, where there are such, are a block. The
+time is a row a reading; readings under the same gravity, where there are such, are a block, and
+with a reference each visit to it: what shows under one direction alone no other predicts. The
 load is fitted (mass, centre, constant part: what a calibration has) unless a file has it.
 
 Of a joint's two angles and torque, the lag is the motor's angle less the link's. Nominal is a rigid
