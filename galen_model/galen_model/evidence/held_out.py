@@ -226,11 +226,7 @@ class BlockEvidence:
                 whiteners.append(np.linalg.inv(factor))
             self._inverse.append(np.stack(whiteners))
         count = np.array([len(where) for where in self._where])
-        square = np.zeros((len(rows.channels), len(self.forms), self.blocks))
-        for b, where in enumerate(self._where):
-            white = self._inverse[b] @ self.residual[where]  # (F, m, C)
-            square[:, :, b] = (white**2).sum(axis=1).T
-        self._rest = square + log_size + count * LOG_2PI  # (C, F, B)
+        self._normalisation = log_size + count * LOG_2PI  # (F, B)
         self._white_nominal: list[tuple[np.ndarray, list[Array]]] = []
         """Of each channel: which nominal columns it has; by block, residual and these."""
         for c in range(len(rows.channels)):
@@ -256,7 +252,8 @@ class BlockEvidence:
             white = self._whitened(more[:, c, own])
             whole = [np.concatenate(pair, axis=2) for pair in zip(nominal, white, strict=True)]
             gram = np.stack([np.swapaxes(one, 1, 2) @ one for one in whole], axis=1)
-            part = Information(gram[..., 1:, 1:], gram[..., 1:, 0], self._rest[c])
+            rest = gram[..., 0, 0] + self._normalisation
+            part = Information(gram[..., 1:, 1:], gram[..., 1:, 0], rest)
             each.append((np.concatenate([at, first + own]), part))
         return _ByChannel(first + more.shape[2], tuple(each))
 
