@@ -77,7 +77,17 @@ class AxesBasis(SpringBasis):
         )
 
     def elastic(self, at_tip: Array, jacobian: Array, loads: Array) -> Array:
-        """Return designs (n, 6, c) of the elements, of wrenches (n, 6) at the tip."""
+        """Return designs of the elements C_ij.
+
+        Args:
+            at_tip: (n, 6) wrenches at the tip in base_link, N and N.m.
+            jacobian: (n, 6, s) of the springs; not used.
+            loads: (n, s) of the springs; not used.
+
+        Returns:
+            (n, 6, c), in N and N.m: a column for each of `pairs`.
+
+        """
         motion, load = np.array(self.pairs).T
         design = np.zeros((len(at_tip), 6, len(self.pairs)))
         design[:, motion, np.arange(len(self.pairs))] = at_tip[:, load]
@@ -95,6 +105,18 @@ fit_independent, fit_coupled = partial(_fit, INDEPENDENT), partial(_fit, COUPLED
 
 
 def read_axes(content: Mapping[str, Any], arm: Arm) -> SpringModel:
-    """Read a file's content; raises FieldError that names what is wrong."""
+    """Read a file's content.
+
+    Args:
+        content: the whole file's content, with `kind` one of `independent`, `coupled`.
+        arm: the arm that the model is used on.
+
+    Returns:
+        The model.
+
+    Raises:
+        FieldError: naming what is wrong.
+
+    """
     basis = AxesBasis(tip_from_json(content), arm=arm, pairs=_PAIRS[content["kind"]])
     return SpringModel.from_json(content, arm, basis)

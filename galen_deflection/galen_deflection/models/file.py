@@ -99,9 +99,19 @@ KINDS: dict[str, ModelKind] = {
 
 
 def read_model(path: str | os.PathLike[str], arm: Arm) -> DeflectionModel:
-    """Read and check a model's file; raises DeflectionError that names the file and the field.
+    """Read and check a model's file.
 
-    A model of another arm, which has other joints, is rejected.
+    Args:
+        path: file to read.
+        arm: the arm that it is used on.
+
+    Returns:
+        The model.
+
+    Raises:
+        DeflectionError: the file can't be read, a field is wrong, or the model is of another arm,
+            which has other joints; the message names the file and the field.
+
     """
     path = Path(path)
     try:
@@ -116,7 +126,14 @@ def read_model(path: str | os.PathLike[str], arm: Arm) -> DeflectionModel:
 def write_model(path: str | os.PathLike[str], model: DeflectionModel) -> None:
     """Write a model's file whole or not at all; the old one is kept as `.bak`.
 
-    Raises DeflectionError, naming the file; the old file is then untouched.
+    Args:
+        path: file to write.
+        model: the fitted model.
+
+    Raises:
+        DeflectionError: it can't be written, or not be read again; the message names the file, and
+            the old one is untouched.
+
     """
     path = Path(path)
     try:

@@ -37,7 +37,15 @@ At the Galen's tip the nominal compliance changes by some percent over it.
 
 
 def nearby(arm: Arm) -> Array:
-    """Return (j,), m and rad, by joint."""
+    """Return how far a joint may be from one that was fitted on and still count as it.
+
+    Args:
+        arm: the arm whose joints are compared.
+
+    Returns:
+        (j,), m and rad, by joint.
+
+    """
     return np.array([NEARBY_M if unit == "m" else NEARBY_RAD for unit in arm.units])
 
 
@@ -64,7 +72,15 @@ class PredictedSamples(NamedTuple):
     extrapolated: np.ndarray
 
     def rows(self, rows: np.ndarray | slice) -> PredictedSamples:
-        """Return some of the samples' predictions."""
+        """Return some of the samples' predictions.
+
+        Args:
+            rows: mask (n,) bool, indices or slice of samples.
+
+        Returns:
+            Their predictions, in the order of `rows`.
+
+        """
         return PredictedSamples(*(values[rows] for values in self))
 
 
@@ -83,7 +99,18 @@ class FitSettings:
     on_progress: Callable[[int, int, str], None] | None = None
 
     def used(self, count: int) -> np.ndarray:
-        """Return the samples (count,) to look at; raises ValueError for another number of them."""
+        """Return the samples to look at.
+
+        Args:
+            count: n, the number of samples to fit to.
+
+        Returns:
+            `use` (n,) bool, all true where it is None.
+
+        Raises:
+            ValueError: `use` is for another number of samples.
+
+        """
         if self.use is None:
             return np.ones(count, dtype=bool)
         use = np.asarray(self.use, dtype=bool)
@@ -110,7 +137,18 @@ class FittedRange:
 
     @classmethod
     def of(cls, joints: Array, wrench: Array, only_nearby: bool, arm: Arm) -> FittedRange:
-        """Return the range of joints (n, j) and wrenches (n, 6) at the tip in base_link."""
+        """Make the range of the samples that a model is fitted to.
+
+        Args:
+            joints: (n, j), m and rad.
+            wrench: (n, 6) at the tip in base_link, N and N.m.
+            only_nearby: the model holds near these joints only, and not between them.
+            arm: the arm whose joints they are.
+
+        Returns:
+            Their range; with `positions` if `only_nearby`.
+
+        """
         return cls(
             wrench_low=wrench.min(axis=0),
             wrench_high=wrench.max(axis=0),
@@ -121,7 +159,16 @@ class FittedRange:
         )
 
     def left_by(self, joints: Array, wrench: Array) -> np.ndarray:
-        """Return which of the samples (n,) lie outside: joints (n, j), wrenches (n, 6)."""
+        """Return which of the samples lie outside of the range.
+
+        Args:
+            joints: (n, j), m and rad.
+            wrench: (n, 6) at the tip in base_link, N and N.m.
+
+        Returns:
+            (n,) bool, true outside.
+
+        """
         low, high = self._limits
         both = np.concatenate([wrench, joints], axis=1)
         outside = ((both < low) | (both > high)).any(axis=1)
@@ -157,7 +204,20 @@ class FittedRange:
 
     @classmethod
     def from_json(cls, content: Any, name: str, arm: Arm) -> FittedRange:
-        """Read with checks; raises FieldError."""
+        """Read with checks.
+
+        Args:
+            content: the file's field.
+            name: the field's name, for messages.
+            arm: the arm whose joints they are.
+
+        Returns:
+            The range.
+
+        Raises:
+            FieldError: a field lacks or is wrong; the message names it.
+
+        """
         whole = mapping(content, name)
         sides: list[Array] = []
         for what, size in (("wrench_at_tip", 6), ("joints", len(arm.joints))):
@@ -187,7 +247,15 @@ def _distinct(joints: Array, near: Array) -> Array:
 
 
 def fitted_on(samples: DeflectionSamples) -> dict[str, int]:
-    """Count what a model is fitted to, for its file."""
+    """Count what a model is fitted to, for its file.
+
+    Args:
+        samples: those that the fit looked at.
+
+    Returns:
+        Numbers of samples, segments, positions and sets (repetitions of a position), by name.
+
+    """
     places = np.stack([samples.position, samples.set_number], axis=1)
     return {
         "samples": len(samples),
@@ -198,19 +266,52 @@ def fitted_on(samples: DeflectionSamples) -> dict[str, int]:
 
 
 def fitted_on_from_json(content: Any) -> dict[str, int]:
-    """Read the field fitted_on; raises FieldError."""
+    """Read the field fitted_on.
+
+    Args:
+        content: the field itself.
+
+    Returns:
+        The counts of `fitted_on`.
+
+    Raises:
+        FieldError: a count lacks or is none.
+
+    """
     counts = mapping(content, "fitted_on")
     names = ("samples", "segments", "positions", "sets")
     return {name: count(get(counts, name), f"fitted_on.{name}") for name in names}
 
 
 def tip_from_json(content: Any) -> Array:
-    """Read the field tip_m (3,); raises FieldError."""
+    """Read the field tip_m.
+
+    Args:
+        content: the whole file's content.
+
+    Returns:
+        The tip (3,) in ft_sensor, m.
+
+    Raises:
+        FieldError: it lacks or is wrong.
+
+    """
     return array(get(content, "tip_m"), "tip_m", (3,))
 
 
 def noise_from_json(content: Any) -> Array:
-    """Read the field noise (6,); raises FieldError."""
+    """Read the field noise.
+
+    Args:
+        content: the whole file's content.
+
+    Returns:
+        Standard deviation (6,) of one measured deflection in base_link, m and rad.
+
+    Raises:
+        FieldError: it lacks, or a value is not positive.
+
+    """
     noise = array(get(content, "noise"), "noise", (6,))
     if np.any(noise <= 0.0):
         raise FieldError("noise holds a value that isn't positive")

@@ -61,7 +61,15 @@ class Sums:
     used: np.ndarray
 
     def combined(self, combination: Array) -> Sums:
-        """Return those of other designs, whose columns are combinations (p, q) of these."""
+        """Return the sums of other designs, whose columns are combinations of these.
+
+        Args:
+            combination: (p, q); a column for each new parameter.
+
+        Returns:
+            Sums of q parameters.
+
+        """
         return replace(self, blocks=self.blocks.combined(combination))
 
 
@@ -84,7 +92,21 @@ class Solution:
 
 
 def sums(basis: SpringBasis, samples: DeflectionSamples, settings: FitSettings) -> Sums:
-    """Go through the samples once, segment by segment; raises DeflectionError as `check_to_fit`."""
+    """Go through the samples once, segment by segment.
+
+    Args:
+        basis: what the p parameters multiply.
+        samples: n samples; all of their loads count for what operators remember.
+        settings: which samples' deflections count.
+
+    Returns:
+        Sums by block, whitened by the samples' noise.
+
+    Raises:
+        DeflectionError: as `check_to_fit`.
+        ValueError: `settings.use` is for another number of samples.
+
+    """
     used = settings.used(len(samples))
     check_to_fit(samples, used)
     weight = 1.0 / samples.noise
@@ -102,7 +124,15 @@ def sums(basis: SpringBasis, samples: DeflectionSamples, settings: FitSettings) 
 
 
 def blocks(samples: DeflectionSamples) -> list[slice]:
-    """Return blocks of at most BLOCK_S, each within a segment and a repetition of a position."""
+    """Return blocks of at most BLOCK_S, each within a segment and a repetition of a position.
+
+    Args:
+        samples: n samples.
+
+    Returns:
+        Rows of the b blocks, in their order.
+
+    """
     found = []
     places = np.stack([samples.position, samples.set_number], axis=1)
     for segment in samples.segments():
@@ -117,9 +147,17 @@ def blocks(samples: DeflectionSamples) -> list[slice]:
 
 
 def folds(samples: DeflectionSamples, parts: Sequence[slice]) -> np.ndarray:
-    """Return the fold (b,) of each block: the repetition of a position.
+    """Return the fold of each block: the repetition of a position.
 
     Where there are fewer than FEWEST_FOLDS, each is cut into equal runs of blocks.
+
+    Args:
+        samples: n samples.
+        parts: rows of the b blocks, by `blocks`.
+
+    Returns:
+        (b,), numbers from 0.
+
     """
     firsts = [part.start for part in parts]
     places = np.stack([samples.position[firsts], samples.set_number[firsts]], axis=1)
@@ -138,6 +176,14 @@ def solve(blocks: Information, parameters: Sequence[Parameter]) -> Solution:
     """Solve from the sums over blocks; what is not identifiable stays near its prior.
 
     None is below zero, but for signed parameters.
+
+    Args:
+        blocks: sums (b,) of whitened designs and deflections, of p parameters.
+        parameters: the p parameters; all signed, or none.
+
+    Returns:
+        Values in the parameters' units; names of those that are not identifiable.
+
     """
     information, right, _ = blocks.total()
     missing = _not_identifiable(information, parameters)
@@ -188,8 +234,19 @@ def finished(
 ) -> SpringModel:
     """Return the model of a basis, by its sums over the samples.
 
-    only_nearby: it holds near the positions of the samples, and not between them. Raises
-    DeflectionError for samples without load, and for a spring that would push back.
+    Args:
+        name: kind of the model.
+        basis: what the parameters multiply.
+        samples: n samples, those that don't count as well.
+        totals: the basis' sums over `samples`.
+        only_nearby: it holds near the positions of the samples, and not between them.
+
+    Returns:
+        The fitted model.
+
+    Raises:
+        DeflectionError: the samples are without load, or a spring would push back.
+
     """
     parameters = basis.parameters
     solution = solve(totals.blocks, parameters)
@@ -225,7 +282,16 @@ def _values_without(totals: Sums, basis: SpringBasis) -> dict[int, Array]:
 
 
 def held_out_cost(totals: Sums, basis: SpringBasis) -> Array:
-    """Return each fold's squared residual (folds,) by a fit to the others, over the noise's."""
+    """Return each fold's squared residual by a fit to the others, over the noise's.
+
+    Args:
+        totals: sums over blocks.
+        basis: the basis of these sums.
+
+    Returns:
+        (folds,), without unit: sums over a fold's readings, each residual in units of its noise.
+
+    """
     return np.array(
         [
             float(totals.blocks.cost(value)[totals.fold == fold].sum())
@@ -289,9 +355,15 @@ def _discrepancy(basis: SpringBasis, samples: DeflectionSamples, totals: Sums) -
 
 
 def beyond_noise(square: Array, noise: Array) -> Array:
-    """Return the part of residuals' covariance (6, 6) that noise (6,) does not explain.
+    """Return the part of residuals' covariance that the noise does not explain.
 
-    In the residuals' units; square (6, 6): mean of their products, in units of the noise.
+    Args:
+        square: (6, 6) mean of the residuals' products, in units of the noise.
+        noise: (6,) standard deviation of one measured deflection, m and rad.
+
+    Returns:
+        (6, 6), in m and rad.
+
     """
     eigenvalue, vectors = np.linalg.eigh(square - np.eye(6))
     beyond = vectors * np.maximum(eigenvalue, 0.0) @ vectors.T

@@ -70,10 +70,16 @@ class Scaling(NamedTuple):
 
     @classmethod
     def of(cls, values: Array, least: Array | None = None) -> Scaling:
-        """Make it from training data (n, k); a constant column is only shifted.
+        """Make it from training data; a constant column is only shifted.
 
-        least (k,): a scale is not smaller, as that of an axis on which there was only rounding or
-        noise would be.
+        Args:
+            values: (n, k), in their units.
+            least: (k,): a scale is not smaller, as that of an axis on which there was only rounding
+                or noise would be; None: no limit.
+
+        Returns:
+            Means and standard deviations (k,).
+
         """
         scale = np.maximum(values.std(axis=0), 0.0 if least is None else least)
         # a constant's standard deviation is what rounding leaves
@@ -81,11 +87,27 @@ class Scaling(NamedTuple):
         return cls(values.mean(axis=0), np.where(constant, 1.0, scale))
 
     def apply(self, values: Array) -> Array:
-        """Standardise (n, k) or (k,)."""
+        """Standardise.
+
+        Args:
+            values: (n, k) or (k,), in their units.
+
+        Returns:
+            The same shape, without unit.
+
+        """
         return np.asarray((values - self.mean) / self.scale)
 
     def undo(self, values: Array) -> Array:
-        """Return to units."""
+        """Return to units.
+
+        Args:
+            values: (n, k) or (k,), standardised.
+
+        Returns:
+            The same shape, in units.
+
+        """
         return np.asarray(values * self.scale + self.mean)
 
     def to_json(self) -> dict[str, Any]:
@@ -94,7 +116,20 @@ class Scaling(NamedTuple):
 
     @classmethod
     def from_json(cls, content: Any, name: str, size: int) -> Scaling:
-        """Read with checks; raises FieldError."""
+        """Read with checks.
+
+        Args:
+            content: the file's field.
+            name: the field's name, for messages.
+            size: k, the number of columns.
+
+        Returns:
+            The scaling.
+
+        Raises:
+            FieldError: a field lacks or has another size, or a scale is not positive.
+
+        """
         whole = mapping(content, name)
         scale = array(get(whole, "scale"), f"{name}.scale", (size,))
         if np.any(scale <= 0.0):
@@ -103,7 +138,17 @@ class Scaling(NamedTuple):
 
 
 def weight_shapes(inputs: int, hidden: int, outputs: int) -> dict[str, tuple[int, ...]]:
-    """Return the weights' shapes for these numbers of inputs, hidden units and outputs."""
+    """Return the weights' shapes.
+
+    Args:
+        inputs: number of inputs.
+        hidden: number of hidden units.
+        outputs: number of outputs.
+
+    Returns:
+        Shapes by the weights' names, in the order of PyTorch's layers.
+
+    """
     return {
         "w_in": (4 * hidden, inputs),
         "w_state": (4 * hidden, hidden),
@@ -134,11 +179,28 @@ class RecurrentNet:
         return np.zeros((2, self.hidden))
 
     def taken_in(self, inputs: Array) -> Array:
-        """Return the contribution (n, 4 hidden) of a sequence's inputs (n, n_in) to the gates."""
+        """Return the contribution of a sequence's inputs to the gates.
+
+        Args:
+            inputs: (n, n_in), in their units.
+
+        Returns:
+            (n, 4 hidden), rows of the gates i, f, g, o.
+
+        """
         return np.asarray(self.inputs.apply(inputs) @ self._w_in.T + self._bias)
 
     def advanced(self, state: Array, taken_in: Array) -> Array:
-        """Return the state after one more sample, of which `taken_in` (4 hidden,) is known."""
+        """Return the state after one more sample.
+
+        Args:
+            state: (2, hidden), h and c before it.
+            taken_in: (4 hidden,), the sample's contribution to the gates.
+
+        Returns:
+            (2, hidden), h and c.
+
+        """
         n = self.hidden
         z = np.tanh(taken_in + self._w_state @ state[0])
         gate = 0.5 + 0.5 * z
@@ -148,11 +210,27 @@ class RecurrentNet:
         return after
 
     def output(self, h: Array) -> Array:
-        """Return outputs (n, n_out), in their units, of states h (n, hidden)."""
+        """Return outputs of states.
+
+        Args:
+            h: (n, hidden).
+
+        Returns:
+            (n, n_out), in their units.
+
+        """
         return self.outputs.undo(h @ self.weights["w_out"].T + self.weights["bias_out"])
 
     def predict(self, inputs: Array) -> Array:
-        """Return outputs (n, n_out) for a whole sequence (n, n_in), from a fresh start."""
+        """Return outputs for a whole sequence, from a fresh start.
+
+        Args:
+            inputs: (n, n_in), in their units.
+
+        Returns:
+            (n, n_out), in their units.
+
+        """
         state = self.start()
         h = np.empty((len(inputs), self.hidden))
         for k, taken_in in enumerate(self.taken_in(inputs)):
@@ -171,7 +249,20 @@ class RecurrentNet:
 
     @classmethod
     def from_json(cls, content: Any, inputs: int, outputs: int) -> RecurrentNet:
-        """Read a file's field `network`, for these numbers of columns; raises FieldError."""
+        """Read a file's field `network`.
+
+        Args:
+            content: the field itself.
+            inputs: n_in, the expected number of inputs.
+            outputs: n_out, the expected number of outputs.
+
+        Returns:
+            The network.
+
+        Raises:
+            FieldError: a field lacks, or has another shape.
+
+        """
         whole = mapping(content, "network")
         hidden = count(get(whole, "hidden"), "network.hidden")
         if not 1 <= hidden <= LARGEST_HIDDEN:
@@ -208,7 +299,16 @@ class PacedNet:
         self._past: deque[tuple[int, Array, Array]] = deque()
 
     def run(self, stamp_ns: np.ndarray, inputs: Array) -> Array:
-        """Return outputs (n, n_out) of samples at stamps (n,) with inputs (n, n_in)."""
+        """Return outputs of the next samples.
+
+        Args:
+            stamp_ns: (n,) their stamps.
+            inputs: (n, n_in), in their units.
+
+        Returns:
+            (n, n_out), in their units.
+
+        """
         h = np.empty((len(stamp_ns), self._net.hidden))
         for k, taken_in in enumerate(self._net.taken_in(inputs)):
             h[k] = self._take(int(stamp_ns[k]), taken_in)[0]
@@ -269,7 +369,15 @@ class NetworkModel:
     notes: tuple[str, ...] = ()
 
     def predict(self, samples: DeflectionSamples) -> PredictedSamples:
-        """Predict every sample, each segment from a fresh start: the same as stream by stream."""
+        """Predict every sample, each segment from a fresh start: the same as stream by stream.
+
+        Args:
+            samples: n samples, of whole segments; their deflections are not looked at.
+
+        Returns:
+            Predictions (n) in base_link, m and rad; all have the covariance `discrepancy`.
+
+        """
         size = len(samples)
         mean, outside = np.empty((size, OUTPUTS)), np.empty(size, dtype=bool)
         for segment in samples.segments():
@@ -299,7 +407,19 @@ class NetworkModel:
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any], arm: Arm) -> NetworkModel:
-        """Read a file's content; raises FieldError that names what is wrong."""
+        """Read a file's content.
+
+        Args:
+            content: the whole file's content.
+            arm: the arm that the model is used on.
+
+        Returns:
+            The model.
+
+        Raises:
+            FieldError: naming what is wrong.
+
+        """
         period_s = number(get(content, "period_s"), "period_s")
         if not _LIMITS_S[0] <= period_s <= _LIMITS_S[1]:
             raise FieldError(f"period_s is {period_s:g}; expected 0.0001 to 10")
@@ -327,13 +447,34 @@ class NetworkStream:
         self.reset()
 
     def run(self, stamp_ns: np.ndarray, joints: Array, wrench: Array) -> tuple[Array, np.ndarray]:
-        """Return means (n, 6), and whether they are extrapolated (n,), of the next n samples."""
+        """Predict the next samples.
+
+        Args:
+            stamp_ns: (n,) their stamps.
+            joints: (n, j), m and rad.
+            wrench: (n, 6) applied, in ft_sensor about its origin, N and N.m.
+
+        Returns:
+            Means (n, 6) of the deflection in base_link, m and rad; whether they are extrapolated
+            (n,).
+
+        """
         at_tip = self._springs.at_tip(joints, wrench)
         mean = self._paced.run(stamp_ns, np.hstack([at_tip, joints]))
         return mean, self._model.fitted_range.left_by(joints, at_tip)
 
     def step(self, stamp_ns: int, joints: Array, wrench: Array) -> Predicted:
-        """Take joints (j,) and the applied wrench (6,) in ft_sensor about its origin."""
+        """Take the next sample.
+
+        Args:
+            stamp_ns: its stamp.
+            joints: (j,), m and rad.
+            wrench: (6,) applied, in ft_sensor about its origin, N and N.m.
+
+        Returns:
+            The deflection of tool_tip in base_link.
+
+        """
         mean, outside = self.run(
             np.array([stamp_ns]),
             np.asarray(joints, dtype=float)[None],
@@ -342,7 +483,18 @@ class NetworkStream:
         return Predicted(mean[0], self._model.discrepancy, bool(outside[0]))
 
     def tip_pose(self, joints: Array) -> tuple[Array, Array]:
-        """Return R (3, 3) and position (3,) of the tip by the joints (j,), in base_link."""
+        """Return the tip's pose by the joints, without deflection.
+
+        Args:
+            joints: (j,), m and rad.
+
+        Returns:
+            R (3, 3) and position (3,), m, in base_link.
+
+        Raises:
+            KinematicsError: a delta's rods don't reach.
+
+        """
         rotation, position = self._springs.geometry(joints[None]).tip
         return rotation[0], position[0]
 

@@ -92,7 +92,21 @@ class Series(NamedTuple):
 
 
 def fit_network(samples: DeflectionSamples, settings: FitSettings | None = None) -> NetworkModel:
-    """Train the report's network; raises DeflectionError."""
+    """Train the report's network.
+
+    Args:
+        samples: n samples to fit to.
+        settings: which of them count, seed, most iterations, progress; None: the defaults.
+
+    Returns:
+        The model of the kind `lstm`, trained for as many iterations as were best for samples held
+        out.
+
+    Raises:
+        DeflectionError: the samples can't be fitted to, no part of them can be held out, the
+            training diverges, or PyTorch is missing.
+
+    """
     settings = settings or FitSettings()
     used = settings.used(len(samples))
     check_to_fit(samples, used)
@@ -149,12 +163,22 @@ def fit_network(samples: DeflectionSamples, settings: FitSettings | None = None)
 def sequences(
     samples: DeflectionSamples, inputs: Array, use: np.ndarray, period_s: float
 ) -> list[Series]:
-    """Return a sequence for each segment and phase, at one rate; inputs (n, k), use (n,).
+    """Return a sequence for each segment and phase, at one rate.
 
     Where samples come faster than the period, several sequences begin one after the other within
     the first period, so that every sample is learnt from, and as it will be run (`PacedNet`).
     Between samples inputs and targets are interpolated; a target counts if both its sides do.
     Sequences of which nothing counts are left out.
+
+    Args:
+        samples: n samples; their deflections are the targets.
+        inputs: (n, k) of the samples, in their units.
+        use: (n,) bool, the samples whose deflection counts.
+        period_s: time between a sequence's steps, s.
+
+    Returns:
+        Sequences of k inputs and six targets (m, rad), in their units.
+
     """
     found = []
     for segment in samples.segments():
@@ -173,7 +197,17 @@ def sequences(
 
 
 def interpolated(at: Array, time: Array, values: Array) -> Array:
-    """Return values (n, k) at other times (m,), linearly; NaN where a side that counts is NaN."""
+    """Interpolate values at other times, linearly; outside of `time` the ends' values hold.
+
+    Args:
+        at: (m,), s.
+        time: (n,) increasing, at least two, s.
+        values: (n, k) at `time`.
+
+    Returns:
+        (m, k); NaN where a side that counts is NaN.
+
+    """
     after = np.clip(np.searchsorted(time, at), 1, len(time) - 1)
     share = np.clip((at - time[after - 1]) / (time[after] - time[after - 1]), 0.0, 1.0)[:, None]
     # a sample that is as good as hit needs no other side
@@ -183,12 +217,20 @@ def interpolated(at: Array, time: Array, values: Array) -> Array:
 
 
 def hold_out(samples: DeflectionSamples, used: np.ndarray) -> np.ndarray:
-    """Choose at most a quarter (n,) bool of the used samples, of positions that also remain.
+    """Choose at most a quarter of the used samples, of positions that also remain.
 
     A training only checks itself on them. The last repetitions of positions that have several, as
     the report held out sets; of as many positions as make up a quarter. Where no position has
     several, the last blocks of each (blocks: as `least_squares`, about a push); nothing of a
     position that has only one.
+
+    Args:
+        samples: n samples.
+        used: (n,) bool, those that count.
+
+    Returns:
+        (n,) bool, a part of `used`; all false where nothing can be held out.
+
     """
     held = np.zeros(len(samples), dtype=bool)
     most = _HELD_OUT_SHARE * np.count_nonzero(used)
@@ -222,13 +264,28 @@ def train(
     least: Array | None = None,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> tuple[RecurrentNet, list[float], int]:
-    """Train on `series`; of `held_out` nothing is learnt, but its best iteration is kept.
+    """Train on sequences, and keep the iteration that is best for others.
 
     The standardisation is of the used samples of `series` alone. The same seed gives the same
-    network on the same machine. unit (n_out,): what an error is measured by, None for the targets'
-    standard deviations; least (n_in,): inputs are standardised by no less. Returns the network,
-    root mean square errors over `unit` after each iteration, and which one was kept, from 0. Raises
-    DeflectionError with nothing to learn from, for a training that diverges, and without PyTorch.
+    network on the same machine.
+
+    Args:
+        series: to learn from.
+        settings: the network's size and its training.
+        held_out: nothing is learnt from these, but the iteration that is best for them is kept;
+            none: the last one.
+        unit: (n_out,), what an error is measured by; None: the targets' standard deviations.
+        least: (n_in,), inputs are standardised by no less; None: no limit.
+        on_progress: called after each iteration with how many are done, of how many.
+
+    Returns:
+        The network; root mean square errors over `unit` after each iteration, of `held_out` or else
+        of `series`; the iteration that was kept, from 0.
+
+    Raises:
+        DeflectionError: there is nothing to learn from, a value is not finite, the training
+            diverges, or PyTorch is missing.
+
     """
     torch = _torch()
     _check(series, held_out)

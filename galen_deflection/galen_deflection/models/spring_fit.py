@@ -83,13 +83,38 @@ _WORTH_IT = 0.01
 
 
 def fit_stiffness(samples: DeflectionSamples, settings: FitSettings | None = None) -> SpringModel:
-    """Fit the springs alone by weighted non-negative least squares; raises DeflectionError."""
+    """Fit the springs alone by weighted non-negative least squares.
+
+    Args:
+        samples: n samples to fit to.
+        settings: which of them count; None: all.
+
+    Returns:
+        The model of the kind `joint_stiffness`.
+
+    Raises:
+        DeflectionError: the samples can't be fitted to, are without load, or want a spring that
+            pushes back.
+
+    """
     basis = SpringBasis(samples.tip_m, arm=samples.arm)
     return finished(STIFFNESS, basis, samples, sums(basis, samples, settings or FitSettings()))
 
 
 def fit_hysteresis(samples: DeflectionSamples, settings: FitSettings | None = None) -> SpringModel:
-    """Fit the springs with hysteresis; raises DeflectionError."""
+    """Fit the springs with hysteresis, of the form that held-out folds choose.
+
+    Args:
+        samples: n samples to fit to.
+        settings: which of them count; None: all.
+
+    Returns:
+        The model of the kind `joint_hysteresis`; its notes name a form other than plays of springs.
+
+    Raises:
+        DeflectionError: as of `fit_stiffness`.
+
+    """
     settings = settings or FitSettings()
     grid = _whole_grid(samples, settings)
     totals = sums(grid, samples, settings)

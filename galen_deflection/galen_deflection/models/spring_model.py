@@ -157,15 +157,30 @@ class SpringBasis:
         return of_kind
 
     def elastic(self, at_tip: Array, jacobian: Array, loads: Array) -> Array:
-        """Return designs (n, 6, c) of the compliances.
+        """Return designs of the compliances.
 
-        at_tip (n, 6): wrenches at the tip, base_link; jacobian (n, 6, s), loads (n, s): the
-        springs'.
+        Args:
+            at_tip: (n, 6) wrenches at the tip in base_link, N and N.m.
+            jacobian: (n, 6, s) of the springs.
+            loads: (n, s) of the springs, N.m and N.
+
+        Returns:
+            (n, 6, c): the tip's deflection in base_link for a unit of each compliance.
+
         """
         return np.asarray((jacobian * loads[:, None, :]) @ self._of_kind)
 
     def part(self, operators: Sequence[int], shape: Shape) -> SpringBasis:
-        """Return it with some of the operators, all of one shape."""
+        """Return it with some of the operators, all of one shape.
+
+        Args:
+            operators: indices of `self.operators`.
+            shape: what they become.
+
+        Returns:
+            The same springs with these operators.
+
+        """
         chosen = tuple(self.operators[k]._replace(shape=shape) for k in operators)
         return replace(self, operators=chosen)
 
@@ -204,10 +219,21 @@ class SpringRun:
         self._platform_reference = basis.platform_compliances[basis.under_platform]
 
     def loads(self, joints: Array, wrench: Array) -> tuple[Array, Array, Array, Array]:
-        """Return wrench (n, 6) at the tip, designs (n, 6, c) of the compliances, J, all loads.
+        """Return what the springs, and the platform where an operator sits there, are loaded with.
 
-        J (n, 6, s) and loads (n, s) of the springs; with six more of the platform's axes, if an
-        operator is there: the twist of its centre (m, rad), and what that does to the tip.
+        Args:
+            joints: (n, j), m and rad.
+            wrench: (n, 6) in ft_sensor about its origin, N and N.m.
+
+        Returns:
+            Wrenches (n, 6) at the tip in base_link; designs (n, 6, c) of the compliances; J (n, 6,
+            s) and loads (n, s) of the springs. With an operator at the platform, J and loads have
+            six more columns for its axes: what a twist of its centre does to the tip, and that
+            twist (m, rad).
+
+        Raises:
+            KinematicsError: a delta's rods don't reach.
+
         """
         to_tip, jacobian, lever, _ = self.springs.geometry(joints)
         at_tip = np.matmul(to_tip, wrench[:, :, None])[:, :, 0]
@@ -223,11 +249,20 @@ class SpringRun:
         return at_tip, elastic, jacobian, loads
 
     def rows(self, joints: Array, wrench: Array) -> tuple[Array, Array, Array | None]:
-        """Take the next samples: joints (n, j), wrenches (n, 6) in ft_sensor.
+        """Take the next samples.
 
-        Returns wrenches (n, 6) at the tip in base_link, the design (n, 6, p), and (n, 6, m), of
-        each single operator times its weight, a standard deviation for the unknown past; None
-        where it is known.
+        Args:
+            joints: (n, j), m and rad.
+            wrench: (n, 6) in ft_sensor about its origin, N and N.m.
+
+        Returns:
+            Wrenches (n, 6) at the tip in base_link; the design (n, 6, p); and (n, 6, m), of each
+            single operator times its weight, a standard deviation for the unknown past, None where
+            it is known.
+
+        Raises:
+            KinematicsError: a delta's rods don't reach.
+
         """
         at_tip, elastic, jacobian, loads = self.loads(joints, wrench)
         if not self._plays:
@@ -242,7 +277,16 @@ class SpringRun:
         return at_tip, design, columns * unknown[:, None, :] if unknown.any() else None
 
     def start_covariance(self, deviation: Array, values: Array) -> Array:
-        """Return the covariance (n, 6, 6) by the unknown past, of `rows` and parameters (p,)."""
+        """Return the covariance by the unknown past.
+
+        Args:
+            deviation: (n, 6, m), as `rows` returns it.
+            values: (p,) the parameters.
+
+        Returns:
+            (n, 6, 6) of the deflection in base_link, m and rad.
+
+        """
         by_source = (deviation * values[self._parameter]) @ self._source
         return np.asarray(by_source @ by_source.transpose(0, 2, 1))
 
@@ -290,7 +334,18 @@ class SpringModel:
         return np.sqrt(np.diag(self.covariance))
 
     def predict(self, samples: DeflectionSamples) -> PredictedSamples:
-        """Predict every sample, each segment from a fresh start: the same as stream by stream."""
+        """Predict every sample, each segment from a fresh start: the same as stream by stream.
+
+        Args:
+            samples: n samples, of whole segments; their deflections are not looked at.
+
+        Returns:
+            Predictions (n) in base_link, m and rad.
+
+        Raises:
+            KinematicsError: a delta's rods don't reach.
+
+        """
         size = len(samples)
         predicted = PredictedSamples(
             np.empty((size, 6)), np.empty((size, 6, 6)), np.empty(size, dtype=bool)
@@ -350,7 +405,20 @@ class SpringModel:
     def from_json(
         cls, content: Mapping[str, Any], arm: Arm, basis: SpringBasis | None = None
     ) -> SpringModel:
-        """Read a file's content, by default of springs; raises FieldError that names the fault."""
+        """Read a file's content, by default of springs.
+
+        Args:
+            content: the whole file's content.
+            arm: the arm that the model is used on.
+            basis: what the parameters multiply; None: the arm's springs.
+
+        Returns:
+            The model.
+
+        Raises:
+            FieldError: naming the fault.
+
+        """
         name = text(get(content, "kind"), "kind")
         basis = basis or SpringBasis(tip_from_json(content), arm=arm)
         if name == HYSTERESIS:
@@ -378,7 +446,20 @@ class SpringStream:
         self.reset()
 
     def step(self, stamp_ns: int, joints: Array, wrench: Array) -> Predicted:
-        """Take joints (j,) and the applied wrench (6,) in ft_sensor about its origin."""
+        """Take the next sample.
+
+        Args:
+            stamp_ns: its stamp; not used, since springs and plays know no time.
+            joints: (j,), m and rad.
+            wrench: (6,) applied, in ft_sensor about its origin, N and N.m.
+
+        Returns:
+            The deflection of tool_tip in base_link.
+
+        Raises:
+            KinematicsError: a delta's rods don't reach.
+
+        """
         predicted, start = self._model._predict(
             self._run,
             np.asarray(joints, dtype=float)[None],
@@ -392,7 +473,15 @@ class SpringStream:
         )
 
     def tip_pose(self, joints: Array) -> tuple[Array, Array]:
-        """Return R (3, 3) and position (3,) of the tip by the joints (j,), in base_link."""
+        """Return the tip's pose by the joints, without deflection.
+
+        Args:
+            joints: (j,), m and rad.
+
+        Returns:
+            R (3, 3) and position (3,), m, in base_link.
+
+        """
         rotation, position = self._run.springs.geometry(joints[None]).tip
         return rotation[0], position[0]
 

@@ -60,14 +60,27 @@ class Kind(NamedTuple):
 
 
 def elastic_joints(arm: Arm) -> list[int]:
-    """Return the places of the joints that deflect: all but those that stand for a delta's rods."""
+    """Return the places of the joints that deflect: all but those that stand for a delta's rods.
+
+    Args:
+        arm: the arm whose joints they are.
+
+    Returns:
+        Indices of the arm's joints, increasing.
+
+    """
     return list(range(0 if arm.delta is None else 3, len(arm.joints)))
 
 
 def kinds(arm: Arm) -> tuple[Kind, ...]:
     """Return the elastic joints in their order, then a delta's carriages and rods.
 
-    Nominal compliances 1/k in rad/(N.m) and m/N.
+    Args:
+        arm: the arm; its nominal stiffnesses by name, N.m/rad and N/m.
+
+    Returns:
+        Kinds with nominal compliances 1/k in rad/(N.m) and m/N; their columns follow each other.
+
     """
     springs = [(arm.joint_names[k], 1, arm.units[k]) for k in elastic_joints(arm)]
     if arm.delta is not None:
@@ -126,9 +139,19 @@ class Springs:
         self._single = lru_cache(maxsize=_KEPT_POSES)(self._calculate_single)
 
     def geometry(self, joints: Array) -> Geometry:
-        """Return the geometry at joints (n, j); calculated once for equal neighbours.
+        """Return the geometry at some joints; calculated once for equal neighbours.
 
-        Don't change it: it may be given again. Raises KinematicsError where the rods don't reach.
+        Don't change it: it may be given again.
+
+        Args:
+            joints: (n, j) of float64, m and rad.
+
+        Returns:
+            The geometry of the n joint vectors, in base_link.
+
+        Raises:
+            KinematicsError: a delta's rods don't reach.
+
         """
         if len(joints) == 1:
             return self._single(joints.tobytes())
@@ -140,7 +163,16 @@ class Springs:
         return Geometry(to_tip[which], jacobian[which], lever[which], tip)
 
     def at_tip(self, joints: Array, wrench: Array) -> Array:
-        """Return wrenches (n, 6) at the tip in base_link, from joints (n, j) and ft_sensor's."""
+        """Return wrenches about the tip in base_link.
+
+        Args:
+            joints: (n, j), m and rad.
+            wrench: (n, 6) in ft_sensor about its origin, N and N.m.
+
+        Returns:
+            (n, 6), N and N.m.
+
+        """
         rotation = self._arm.tip_pose(joints, self._tip_m)[0]
         return np.asarray(np.matmul(self._to_tip(rotation), wrench[:, :, None])[:, :, 0])
 
@@ -268,7 +300,15 @@ class Springs:
 
 
 def tip_wrench(samples: DeflectionSamples) -> Array:
-    """Return applied wrenches (n, 6) about the tip in base_link, N and N.m."""
+    """Return the applied wrenches about the tip in base_link.
+
+    Args:
+        samples: n samples, with wrenches in ft_sensor.
+
+    Returns:
+        (n, 6), N and N.m.
+
+    """
     return Springs(samples.tip_m, samples.arm).at_tip(samples.joints, samples.wrench)
 
 
