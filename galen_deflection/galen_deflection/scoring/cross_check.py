@@ -52,7 +52,15 @@ class Split(NamedTuple):
 def sets_of(samples: DeflectionSamples) -> dict[int, list[int]]:
     """Return the set numbers of each position, both in increasing order.
 
-    Raises SplitError if a segment belongs to more than one set, or if there are no samples.
+    Args:
+        samples: n samples.
+
+    Returns:
+        Set numbers by position.
+
+    Raises:
+        SplitError: a segment belongs to more than one set, or there are no samples.
+
     """
     if not len(samples):
         raise SplitError("there are no samples to split")
@@ -74,8 +82,19 @@ def report_splits(samples: DeflectionSamples) -> list[Split]:
     """Check a set of each position in one half of them in turn, as the report does.
 
     Of four positions with two sets that is six to two. Four such splits together check every set
-    once. Of a position with more sets only the last two are checked. Raises SplitError with fewer
-    than two positions, or with fewer than two sets at one.
+    once. Of a position with more sets only the last two are checked.
+
+    Args:
+        samples: n samples.
+
+    Returns:
+        Four splits: the last set of the first half of the positions, of the second half, then the
+        last but one of each.
+
+    Raises:
+        SplitError: there are fewer than two positions, or fewer than two sets at one; or as of
+            `sets_of`.
+
     """
     sets = sets_of(samples)
     if len(sets) < 2:
@@ -104,7 +123,18 @@ def report_splits(samples: DeflectionSamples) -> list[Split]:
 
 
 def position_splits(samples: DeflectionSamples) -> list[Split]:
-    """Check each position in turn with all its sets; raises SplitError if there is one."""
+    """Check each position in turn with all its sets.
+
+    Args:
+        samples: n samples.
+
+    Returns:
+        A split for each position.
+
+    Raises:
+        SplitError: there is one position only; or as of `sets_of`.
+
+    """
     sets = sets_of(samples)
     if len(sets) < 2:
         raise SplitError(f"only position {next(iter(sets))} was recorded: none can be left out")
@@ -116,7 +146,18 @@ def push_splits(samples: DeflectionSamples, folds: int = PUSH_FOLDS) -> list[Spl
 
     They cut segments: fit with `FitSettings.use`, so that the loads of what is left out still
     count, predict whole segments, and score `checked_samples`. Segments without a push are only
-    fitted to. Raises SplitError for a position with fewer pushes than folds.
+    fitted to.
+
+    Args:
+        samples: n samples.
+        folds: number of parts that the pushes are dealt to.
+
+    Returns:
+        A split for each fold.
+
+    Raises:
+        SplitError: the pushes at a position are too few to reach every fold, or as of `sets_of`.
+
     """
     places = [(p, number) for p, numbers in sets_of(samples).items() for number in numbers]
     fold = np.full(len(samples), -1)
@@ -152,7 +193,15 @@ SPLITS: dict[str, Callable[[DeflectionSamples], list[Split]]] = {
 
 
 def usual_splits(samples: DeflectionSamples) -> list[str]:
-    """Return the splits for positions that were fitted to, and for others if there are several."""
+    """Return the splits for positions that were fitted to, and for others if there are several.
+
+    Args:
+        samples: n samples.
+
+    Returns:
+        Names of `SPLITS`.
+
+    """
     try:
         report_splits(samples)
     except SplitError:
@@ -166,7 +215,18 @@ def checked_samples(samples: DeflectionSamples, splits: Sequence[Split]) -> Defl
     """Return the samples that some split checks, in their order, to be scored.
 
     A segment ends where the split does, or where a sample between was not checked, so that no push
-    and no pause is scored over a cut. Raises ValueError if two splits check the same sample.
+    and no pause is scored over a cut.
+
+    Args:
+        samples: n samples.
+        splits: of these samples; no sample is checked twice.
+
+    Returns:
+        The checked samples, with segments of their own.
+
+    Raises:
+        ValueError: two splits check the same sample.
+
     """
     which = np.full(len(samples), -1)
     for number, split in enumerate(splits):
@@ -201,9 +261,22 @@ def cross_check(
     settings: FitSettings | None = None,
     on_split: Callable[[], Any] = lambda: None,
 ) -> Checked:
-    """Fit without each part and predict it, and score all at once; raises GalenError.
+    """Fit without each part and predict it, and score all at once.
 
-    `settings.use` is ignored. `on_split` is called after each fit.
+    Args:
+        kind: one of `KINDS`.
+        samples: n samples.
+        splits: of these samples; no sample is checked twice.
+        settings: of each fit; `use` is ignored; None: the defaults.
+        on_split: called after each fit.
+
+    Returns:
+        Predictions of the checked samples by models that were fitted without them, and their score.
+
+    Raises:
+        GalenError: a model can't be fitted.
+        ValueError: two splits check the same sample.
+
     """
     settings = settings or FitSettings()
     count = len(samples)
@@ -231,9 +304,22 @@ def cross_check(
 def fit_without(
     kind: str, samples: DeflectionSamples, split: Split, settings: FitSettings
 ) -> DeflectionModel:
-    """Fit to the samples that are not checked; raises GalenError.
+    """Fit to the samples that are not checked.
 
     Segments without one are not even shown to the fit; of others in a segment only loads count.
+
+    Args:
+        kind: one of `KINDS`.
+        samples: n samples.
+        split: whose checked samples are left out.
+        settings: of the fit; `use` is ignored.
+
+    Returns:
+        The fitted model.
+
+    Raises:
+        GalenError: it can't be fitted.
+
     """
     use = ~split.check
     shown = np.isin(samples.segment, samples.segment[use])

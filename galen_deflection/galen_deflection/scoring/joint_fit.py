@@ -65,7 +65,17 @@ class CellSums:
 
     @classmethod
     def of(cls, runs: Sequence[JointRun], parts: Parts, designs: Sequence[Array]) -> CellSums:
-        """Sum up all runs, by their terms (n, p)."""
+        """Sum up all runs.
+
+        Args:
+            runs: the joint's runs, of n readings each.
+            parts: the parts that their readings belong to.
+            designs: of each run, terms (n, p).
+
+        Returns:
+            Sums of c cells.
+
+        """
         blocks, places = [], []
         for number, (run, label, terms) in enumerate(zip(runs, parts.label, designs, strict=True)):
             for part, cell in _cells(label, CELLS if parts.whole_runs else CELLS // 4):
@@ -74,20 +84,48 @@ class CellSums:
         return cls(Information.of_blocks(blocks), *np.array(places).T)
 
     def of_parts(self, parts: Sequence[int]) -> np.ndarray:
-        """Return the cells (k,) of some parts."""
+        """Return the cells of some parts.
+
+        Args:
+            parts: numbers of parts.
+
+        Returns:
+            Indices (k,) of cells, increasing.
+
+        """
         return np.flatnonzero(np.isin(self.part, parts))
 
     def cost(self, weights: Array, cells: np.ndarray) -> float:
-        """Return the sum of squared residuals (rad^2) of weights (p,) over cells."""
+        """Return the sum of squared residuals over cells.
+
+        Args:
+            weights: (p,) of the terms.
+            cells: indices (k,) of cells.
+
+        Returns:
+            rad^2, none below zero.
+
+        """
         return max(float(self.cells.part(cells).total().cost(weights)), 0.0)
 
 
 def fit_terms(
     sums: CellSums, cells: np.ndarray, terms: Sequence[str], bounded: bool = True
 ) -> Array:
-    """Return weights (len(TERMS),), zero for all but `terms`; those not FREE are none below zero.
+    """Fit weights of some terms; those of terms not FREE are none below zero.
 
-    `bounded` off lets all of them be. Raises DeflectionError if the cells hold nothing to fit to.
+    Args:
+        sums: of all terms, p = len(TERMS).
+        cells: indices (k,) of the cells to fit to.
+        terms: names of the terms to fit, of TERMS.
+        bounded: whether terms not FREE are kept from negative weights.
+
+    Returns:
+        (len(TERMS),), in each term's unit; zero for all but `terms`.
+
+    Raises:
+        DeflectionError: the cells hold nothing to fit to.
+
     """
     columns = [TERMS.index(name) for name in terms]
     whole = sums.cells.part(cells).total()
@@ -179,8 +217,18 @@ def choose(
 ) -> tuple[dict[str, tuple[tuple[str, ...], tuple[str, ...]]], str]:
     """Return the terms that hold-outs among these parts choose for each form, and the best form.
 
-    Beside them the terms of the form's next best grid; the same where it has only one. common:
-    terms that all forms but the constant have.
+    Args:
+        sums: of all terms.
+        parts: numbers of the parts to fit to and to hold out in turn.
+        common: terms that all forms but the constant have.
+
+    Returns:
+        By form, its terms, and those of its next best grid (the same where it has only one); the
+        name of the best form that has a spring.
+
+    Raises:
+        DeflectionError: there is nothing to fit to.
+
     """
     found, left = {}, {}
     for name, grids in FORMS.items():
@@ -255,7 +303,21 @@ def compare(
     common: tuple[str, ...] = (),
     on_part: Callable[[], object] = lambda: None,
 ) -> Comparison:
-    """Fit and check all models; on_part: called after each part. Raises DeflectionError."""
+    """Fit and check all models, each on parts that it was not fitted to.
+
+    Args:
+        runs: the joint's runs.
+        parts: the parts that their readings belong to.
+        common: terms that all models but the constant have, of COMMON.
+        on_part: called after each part.
+
+    Returns:
+        Predictions and scores by model.
+
+    Raises:
+        DeflectionError: there is nothing to fit to.
+
+    """
     predictions: dict[str, list[Array]] = {}
     chosen = []
     count = len(parts.names)
@@ -352,7 +414,19 @@ class JointParameters:
 
 
 def estimate(comparison: Comparison, form: str | None = None) -> JointParameters:
-    """Fit a form, or the one that hold-outs choose among all parts, to all readings."""
+    """Fit a form to all readings.
+
+    Args:
+        comparison: runs, parts and common terms.
+        form: one of FORMS; None: the one that hold-outs choose among all parts.
+
+    Returns:
+        Estimates by the names of UNITS, with standard deviations of the bootstrap.
+
+    Raises:
+        DeflectionError: there is nothing to fit to.
+
+    """
     runs, parts, common = comparison.runs, comparison.parts, comparison.common
     every = list(range(len(parts.names)))
     scales = Scales.of(runs, parts.rows(every), WINDOW_S)

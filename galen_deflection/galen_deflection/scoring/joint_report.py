@@ -50,7 +50,12 @@ _TIED = 1.0 + 1e-6
 
 
 def add_joint_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options for tables of a joint's readings."""
+    """Add the options for tables of a joint's readings.
+
+    Args:
+        parser: the parser of `evaluate`.
+
+    """
     add_column_options(parser.add_argument_group("tables of a joint: columns"))
     group = parser.add_argument_group("tables of a joint: models and hold-outs")
     group.add_argument(
@@ -76,7 +81,18 @@ def add_joint_options(parser: argparse.ArgumentParser) -> None:
 
 
 def evaluate_tables(arguments: argparse.Namespace) -> int:
-    """Fit and compare models of one joint; returns the exit code; raises GalenError."""
+    """Fit and compare models of one joint.
+
+    Args:
+        arguments: options of `add_joint_options`, with `inputs` and `json`.
+
+    Returns:
+        The exit code.
+
+    Raises:
+        GalenError: a table can't be used, there are too few runs or readings, or nothing to fit to.
+
+    """
     runs = read_joint_runs(arguments.inputs, joint_columns(arguments))
     by_run = arguments.unlike is not None or len(runs) >= _FEWEST_RUNS
     if by_run and arguments.blocks is None:
@@ -99,7 +115,17 @@ def evaluate_tables(arguments: argparse.Namespace) -> int:
 
 
 def to_json(comparison: Comparison, parameters: JointParameters, label: str) -> dict[str, Any]:
-    """Return plain numbers, SI units, no NaN."""
+    """Return plain numbers, SI units, no NaN.
+
+    Args:
+        comparison: the models' scores on what they have not seen.
+        parameters: of the form fitted to all readings.
+        label: name of the joint.
+
+    Returns:
+        Content for JSON.
+
+    """
 
     def row(found: Estimate, unit: str) -> dict[str, Any]:
         interval = list(found.interval)
@@ -145,7 +171,16 @@ def to_json(comparison: Comparison, parameters: JointParameters, label: str) -> 
 
 
 def notes(comparison: Comparison, parameters: JointParameters) -> list[str]:
-    """Return what a user should know before relying on it; sentences."""
+    """Return what a user should know before relying on it.
+
+    Args:
+        comparison: the joint's runs.
+        parameters: of the form fitted to all readings.
+
+    Returns:
+        Sentences, none where all is well.
+
+    """
     found = []
     if parameters.plain["compliance"].interval[1] < 0.0:
         found.append(

@@ -33,9 +33,20 @@ def plot_models(
     folder: Path,
     name: str,
 ) -> list[Path]:
-    """Draw a course of each model where the models are worst; returns the files.
+    """Draw a course of each model where the models are worst.
 
-    `name` begins the files' names and the titles. Raises OSError.
+    Args:
+        samples: n samples.
+        predictions: of these samples, by model.
+        folder: where the pictures go; made if need be.
+        name: begins the files' names and the titles.
+
+    Returns:
+        The files written, one for each model.
+
+    Raises:
+        OSError: a picture can't be written.
+
     """
     folder.mkdir(parents=True, exist_ok=True)
     samples = _rejoined(samples)
@@ -58,9 +69,22 @@ def plot_models(
 def plot_course(
     samples: DeflectionSamples, predicted: PredictedSamples, path: Path, title: str
 ) -> Path:
-    """Draw measured and predicted translation over time, an axis a row; returns `path`.
+    """Draw measured and predicted translation over time, an axis a row.
 
     The band is two standard deviations of the prediction. Time between segments is left out.
+
+    Args:
+        samples: n samples.
+        predicted: their predictions.
+        path: picture to write.
+        title: line above the picture.
+
+    Returns:
+        `path`.
+
+    Raises:
+        OSError: the picture can't be written.
+
     """
     figure, panels = plt.subplots(3, 1, figsize=(12, 7.6), sharex=True)
     time, borders = _drawn_time(samples)

@@ -33,7 +33,13 @@ _GOOD_RATIO, _POOR_RATIO = 1.3, 2.0
 
 
 def add_recordings(parser: argparse.ArgumentParser, *, required: bool) -> None:
-    """Add how deflections are measured in recordings."""
+    """Add how deflections are measured in recordings.
+
+    Args:
+        parser: the parser of `train` or `evaluate`.
+        required: whether argparse requires one of the options for the tool.
+
+    """
     group = parser.add_argument_group("recordings")
     tool = group.add_mutually_exclusive_group(required=required)
     tool.add_argument("--tool", type=Path, metavar="FILE", help="the tool's calibration file")
@@ -52,16 +58,38 @@ def add_recordings(parser: argparse.ArgumentParser, *, required: bool) -> None:
 
 
 def tool_of(bag: Path, arguments: argparse.Namespace, arm: Arm) -> CalibrationFile:
-    """Return the tool that a bag was recorded with; raises GalenError that names the file."""
+    """Return the tool that a bag was recorded with.
+
+    Args:
+        bag: the recording.
+        arguments: options of `add_recordings`.
+        arm: the arm that was recorded.
+
+    Returns:
+        The tool's calibration.
+
+    Raises:
+        GalenError: the file is missing or invalid; the message names it.
+
+    """
     beside = arguments.tool is None
     tool = Path(arguments.tool_beside) if beside else arguments.tool
     return calibration_of_bag(bag, tool, beside=beside, arm=arm)
 
 
 def read_all(paths: Sequence[Path], arguments: argparse.Namespace) -> list[Recording]:
-    """Read the recordings at or below these paths, by the options of `add_recordings`.
+    """Read the recordings at or below these paths.
 
-    Raises GalenError for the first bad one.
+    Args:
+        paths: bags, or folders that hold some.
+        arguments: options of `add_recordings`, and `json`, without the progress bar.
+
+    Returns:
+        The recordings, sorted by path.
+
+    Raises:
+        GalenError: for the first bad one.
+
     """
     arm, bags = chosen_arm(arguments), find_bags(paths)
     with progress(len(bags), "bag", quiet=arguments.json) as bar:
@@ -75,7 +103,13 @@ def read_all(paths: Sequence[Path], arguments: argparse.Namespace) -> list[Recor
 
 
 def print_problems(recordings: Sequence[Recording], to: Console) -> None:
-    """Print the problems of each recording, one a line."""
+    """Print the problems of each recording, one a line.
+
+    Args:
+        recordings: the recordings.
+        to: console to print to.
+
+    """
     for recording in recordings:
         for problem in recording.problems:
             to.print(f"[yellow]{recording.path}: {problem}[/yellow]", soft_wrap=True)
@@ -86,7 +120,14 @@ def score_table(
 ) -> Table:
     """Return a table of predictions, one a row.
 
-    `more`: further columns by their headings, each with cells by the rows' names.
+    Args:
+        scores: by the rows' names.
+        title: line above the table.
+        more: further columns by their headings, each with cells by the rows' names; None: no more.
+
+    Returns:
+        The table.
+
     """
     more = more or {}
     table = Table(title=title)
@@ -121,7 +162,16 @@ def score_table(
 
 
 def parameter_rows(model: DeflectionModel) -> list[dict[str, Any]]:
-    """Return the parameters of a model of springs, for JSON; a network has none."""
+    """Return the parameters of a model of springs, for JSON.
+
+    Args:
+        model: a fitted model.
+
+    Returns:
+        For each parameter its name, unit, value, standard deviation and nominal value (None: it has
+        none); nothing for a network.
+
+    """
     if not isinstance(model, SpringModel):
         return []
     return [
@@ -140,7 +190,15 @@ def parameter_rows(model: DeflectionModel) -> list[dict[str, Any]]:
 
 
 def parameter_table(rows: Sequence[Mapping[str, Any]]) -> Table:
-    """Return a table of `parameter_rows`."""
+    """Return a table of parameters.
+
+    Args:
+        rows: as `parameter_rows` returns them.
+
+    Returns:
+        The table.
+
+    """
     table = Table()
     for heading in ("parameter", "unit"):
         table.add_column(heading)

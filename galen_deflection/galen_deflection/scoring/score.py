@@ -49,9 +49,14 @@ class RestScore:
     noise: Array
 
     def truth_rms(self, axes: slice = slice(0, 6)) -> float | None:
-        """Return the residuals' root mean square length over `axes` (m or rad), less the noise.
+        """Return the residuals' root mean square length over some axes, less the noise.
 
-        None if it is lost in the noise: then there is no residual to predict.
+        Args:
+            axes: of `AXES`; of one unit.
+
+        Returns:
+            m or rad; None if it is lost in the noise: then there is no residual to predict.
+
         """
         square, noise = self._squares(self.measured, axes)
         spread = float(np.sqrt(2.0 * np.sum(self.noise[:, axes] ** 4)))
@@ -60,7 +65,15 @@ class RestScore:
         return float(np.sqrt((square - noise) / len(self.measured)))
 
     def error_share(self, axes: slice = slice(0, 6)) -> float | None:
-        """Return the RMS of the prediction's error over that of the residual, less the noise."""
+        """Return the RMS of the prediction's error over that of the residual, both less the noise.
+
+        Args:
+            axes: of `AXES`; of one unit.
+
+        Returns:
+            0 for a perfect prediction; None if the residual is lost in the noise.
+
+        """
         truth = self.truth_rms(axes)
         if truth is None:
             return None
@@ -68,9 +81,17 @@ class RestScore:
         return float(np.sqrt(max(square - noise, 0.0) / len(self.measured))) / truth
 
     def gain(self, axes: slice = slice(0, 6)) -> tuple[float, float] | None:
-        """Return how much of the residual is predicted (1: all), and the noise of this number.
+        """Return how much of the residual is predicted.
 
         sum(predicted * true) / sum(true^2), the denominator by the measured less its noise.
+
+        Args:
+            axes: of `AXES`; of one unit.
+
+        Returns:
+            The share (1: all), and the noise of this number; None if the residual is lost in the
+            noise.
+
         """
         truth = self.truth_rms(axes)
         if truth is None:
@@ -127,7 +148,15 @@ class Score:
         return self.rmse / self.noise
 
     def ratio_of(self, axes: slice = slice(0, 6)) -> float:
-        """Return the RMSE over noise of axes together: root of the mean square of `ratio`."""
+        """Return the RMSE over noise of axes together: root of the mean square of `ratio`.
+
+        Args:
+            axes: of `AXES`.
+
+        Returns:
+            1 is the floor.
+
+        """
         return float(np.sqrt(np.mean(self.ratio[axes] ** 2)))
 
     def to_json(self) -> dict[str, Any]:
@@ -157,10 +186,20 @@ def score(
     predicted: PredictedSamples,
     limits: tuple[float, float] | None = None,
 ) -> Score:
-    """Score a prediction of these samples; limits: as `find_pushes`.
+    """Score a prediction.
 
-    Raises DeflectionError if there are none, if the shapes don't fit, if something is not finite,
-    or if the noise is not positive.
+    Args:
+        samples: n samples, at least one.
+        predicted: of these samples.
+        limits: force (N) and torque (N.m) that are no load; None: as `find_pushes` chooses them.
+
+    Returns:
+        Errors in base_link, m and rad.
+
+    Raises:
+        DeflectionError: there are no samples, shapes don't fit, a value is not finite, or the noise
+            is not positive.
+
     """
     _check(samples, predicted)
     error = predicted.mean - samples.deflection
@@ -181,7 +220,19 @@ def score(
 
 
 def by_position(samples: DeflectionSamples, predicted: PredictedSamples) -> dict[int, Score]:
-    """Return the score of each position's samples by itself, by its number."""
+    """Return the score of each position's samples by itself.
+
+    Args:
+        samples: n samples.
+        predicted: of these samples.
+
+    Returns:
+        Scores by the position's number.
+
+    Raises:
+        DeflectionError: as of `score`.
+
+    """
     limits = no_load(tip_wrench(samples))
     found = {}
     for position in np.unique(samples.position).tolist():
