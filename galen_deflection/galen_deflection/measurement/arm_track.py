@@ -37,7 +37,15 @@ _LOWER_QUARTILE = 0.3186  # of a normal deviate's absolute value
 
 
 def same_position(arm: Arm) -> Array:
-    """Return (j,), m and rad: joints this near are the same position."""
+    """Return how near joints are that count as the same position.
+
+    Args:
+        arm: the arm whose joints they are.
+
+    Returns:
+        (j,), m and rad.
+
+    """
     return np.array([_SAME_M if unit == "m" else _SAME_RAD for unit in arm.units])
 
 
@@ -51,10 +59,18 @@ class Stay(NamedTuple):
 
 
 def find_stays(line: Timeline, joints: Array, arm: Arm) -> tuple[list[Stay], Array]:
-    """Return where the arm stood, in order, and the joints (p, j) of each position.
+    """Return where the arm stood, in order, and the joints of each position.
 
-    joints (n, j) belong to the line's samples. A stay at the place of the one before is the same
-    visit.
+    A stay at the place of the one before is the same visit.
+
+    Args:
+        line: the joint samples' times.
+        joints: (n, j) of the line's samples, m and rad.
+        arm: the arm whose joints they are.
+
+    Returns:
+        Stays; joints (p, j) by the positions' numbers, m and rad, of the first stay there.
+
     """
     same = same_position(arm)
     positions: list[Array] = []
@@ -77,9 +93,16 @@ def find_stays(line: Timeline, joints: Array, arm: Arm) -> tuple[list[Stay], Arr
 
 
 def wrench_noise(wrenches: Array) -> Array:
-    """Return the standard deviation (6,) of one sample's white noise, at least a quantum.
+    """Return the standard deviation of one sample's white noise, at least a quantum.
 
     From second differences, which smooth pushes hardly change.
+
+    Args:
+        wrenches: (n, 6), N and N.m.
+
+    Returns:
+        (6,), N and N.m.
+
     """
     steps = np.diff(wrenches, n=2, axis=0)
     if not len(steps):
@@ -91,11 +114,19 @@ def wrench_noise(wrenches: Array) -> Array:
 
 
 def noise_of_mean(time_ns: np.ndarray, wrenches: Array) -> Array:
-    """Return the standard deviation (6,) of the mean over WINDOW_S, white noise or filtered.
+    """Return the standard deviation of the mean over WINDOW_S, white noise or filtered.
 
     At least that of white noise. More comes from second differences of windows' means: of their
     absolute values the lower quartile, because many windows are inside of pushes; where half of
     them are, this is too large by a factor of two.
+
+    Args:
+        time_ns: (n,) the wrenches' times.
+        wrenches: (n, 6), N and N.m.
+
+    Returns:
+        (6,), N and N.m.
+
     """
     width = _window_samples(time_ns)
     white = wrench_noise(wrenches) / np.sqrt(width)
@@ -110,10 +141,17 @@ def noise_of_mean(time_ns: np.ndarray, wrenches: Array) -> Array:
 def no_contact_phase(
     time_ns: np.ndarray, wrenches: Array, noise: Array
 ) -> tuple[tuple[int, int] | None, Array, str]:
-    """Find the first phase without contact in one visit's wrenches (n, 6) at time_ns (n,).
+    """Find the first phase without contact in one visit's wrenches.
 
-    noise (6,): of a mean over the window (`noise_of_mean`). Returns from when to when (time_ns), or
-    None, the mean wrench (6,) meanwhile, and why there is none, in words.
+    Args:
+        time_ns: (n,) the wrenches' times, increasing.
+        wrenches: (n, 6) compensated, N and N.m.
+        noise: (6,) standard deviation of a mean over the window, as `noise_of_mean` returns it.
+
+    Returns:
+        From when to when (time_ns), or None; the mean wrench (6,) meanwhile, NaN without a phase;
+        why there is none, in words, else empty.
+
     """
     nothing = np.full(6, np.nan)
     if len(time_ns) < 3:
@@ -186,8 +224,23 @@ def read_arm_track(
 ) -> ArmTrack:
     """Compensate a bag's wrenches as the live node does, at the joints of their stamps.
 
-    Readings beyond the sensor's range are left out. Raises BagError, and DeflectionError where
-    a joint lacks or no wrench can be compensated.
+    Readings beyond the sensor's range are left out.
+
+    Args:
+        bag: bag with the arm's joints and raw wrenches.
+        tool: calibration of the tool that was on.
+        jump_s: stamps whose delay to their log times changes by more, s, jumped.
+        arm: the arm that was recorded.
+        on_progress: called with the messages read so far and their number, None where that is not
+            known.
+
+    Returns:
+        Joints and compensated wrenches, at least one.
+
+    Raises:
+        BagError: the bag can't be read or lacks a topic.
+        DeflectionError: a joint lacks, or no wrench can be compensated.
+
     """
     reader = ArmReader(bag, arm=arm)
     total, done = reader.message_count, 0

@@ -56,7 +56,23 @@ def read_recording(
     *,
     arm: Arm,
 ) -> Recording:
-    """Read and register one bag of an arm; raises GalenError that names the bag."""
+    """Read and register one bag of an arm.
+
+    Args:
+        path: bag to read.
+        tool: calibration of the tool that was on.
+        marker_offset: estimate the tool marker's own offset from the tip; else it is at the tip.
+        on_progress: called with the arm's messages read so far and their number, None where that is
+            not known.
+        arm: the arm that was recorded.
+
+    Returns:
+        The measured deflections, at least one.
+
+    Raises:
+        GalenError: the bag can't be used; the message names it.
+
+    """
     recording = measure_deflection(
         read_pushes(path, tool, on_progress, arm=arm), marker_offset=marker_offset
     )
@@ -66,11 +82,21 @@ def read_recording(
 
 
 def measure_deflection(recording: PushRecording, *, marker_offset: bool = False) -> Recording:
-    """Register the recording and return its deflections; raises RegistrationError.
+    """Register the recording and return its deflections.
 
     The set numbers are the visits of each position. Where the base's marker moved, each of its
     stands is registered on its own, and the samples of those without a rest are left out.
-    marker_offset: estimate the tool marker's own offset from the tip.
+
+    Args:
+        recording: n samples of pushes.
+        marker_offset: estimate the tool marker's own offset from the tip; else it is at the tip.
+
+    Returns:
+        Samples with the deflection of tool_tip in base_link, m and rad.
+
+    Raises:
+        RegistrationError: no stand has a rest, or a registration does not hold.
+
     """
     arm, tip_m = recording.arm, np.asarray(recording.tool.tip_m, dtype=float)
     registrations: list[Registration | None] = []
@@ -135,7 +161,16 @@ def join_recordings(recordings: Sequence[Recording]) -> DeflectionSamples:
     """Join recordings with one tool; the same place has the same number in all.
 
     A position's number is that of the nearest one known so far that is the same, else a new one.
-    Raises GalenError for another tool.
+
+    Args:
+        recordings: one or more, of one arm.
+
+    Returns:
+        All samples.
+
+    Raises:
+        GalenError: the recordings are of different tools or tips.
+
     """
     first = recordings[0]
     same = same_position(first.samples.arm)

@@ -114,10 +114,22 @@ def read_pushes(
     *,
     arm: Arm,
 ) -> PushRecording:
-    """Read a recording of pushes, made with `tool` on.
+    """Read a recording of pushes.
 
-    `on_progress(done, total)` counts messages of the arm. Raises BagError for a bag that can't be
-    read or lacks a topic, DeflectionError where no sample is left, with the reasons.
+    Args:
+        path: bag to read.
+        tool: calibration of the tool that was on.
+        on_progress: called with the arm's messages read so far and their number, None where that is
+            not known.
+        arm: the arm that was recorded.
+
+    Returns:
+        Samples at the stamps of the tool's marker.
+
+    Raises:
+        BagError: the bag can't be read or lacks a topic.
+        DeflectionError: no sample is left; the message gives the reasons.
+
     """
     with open_bag(path) as bag:
         track = read_arm_track(bag, tool, jump_s=_JUMP_S, arm=arm, on_progress=on_progress)
@@ -287,6 +299,14 @@ def base_stands(track: MarkerTrack, start_ns: int) -> tuple[list[BaseStand], lis
     noise, for as long as it is larger than chance makes it anywhere in the recording (binary
     segmentation: Vostrikova, *Soviet Math. Doklady* 24, 1981). Poses far off are clipped, so that
     one of them makes no move; the noise's own correlation in time counts against a move.
+
+    Args:
+        track: the base marker's poses in `tracker`.
+        start_ns: the recording's start, from which the sentences count time.
+
+    Returns:
+        Stands, which together cover all time; a sentence for each move.
+
     """
     mean, _, _ = mean_pose(track.poses)
     off = track.poses.displacement_from(mean)

@@ -115,14 +115,30 @@ class Registration:
     problems: tuple[str, ...]
 
     def tip(self, marker: Transform) -> Transform:
-        """Return tool_tip in base_link, by the tool's marker in the base's (n): eq. (14)."""
+        """Return tool_tip in base_link: eq. (14).
+
+        Args:
+            marker: poses (n) of the tool's marker in the base's, by the tracker.
+
+        Returns:
+            Poses (n).
+
+        """
         return self.base_marker @ marker @ self.tool_marker.inverse()
 
 
 def rest_poses(recording: PushRecording, stand: int) -> list[RestPose]:
-    """Return one for each visit's phase before its first push; of one `stand` of the base's marker.
+    """Return one rest for each visit's phase before its first push.
 
     The covariance counts how long the noise is correlated in time.
+
+    Args:
+        recording: samples, with their phases without contact.
+        stand: number of the base marker's stand, as in `recording.stands`.
+
+    Returns:
+        Rests in the order of positions and visits; none of phases of fewer than ten samples.
+
     """
     rows = recording.untouched & (recording.stand == stand)
     found = []
@@ -166,10 +182,21 @@ def _correlation(parts: Sequence[Array]) -> float:
 def register(
     rests: Sequence[RestPose], tip_m: Array, estimate_offset: bool = False, *, arm: Arm
 ) -> Registration:
-    """Register the tracker on rests of the arm; tip_m (3,) in ft_sensor.
+    """Register the tracker on rests of the arm.
 
-    Raises RegistrationError where there is no rest, where the tool marker's own offset is to be
-    estimated and is not identifiable, and where a position doesn't agree with the others.
+    Args:
+        rests: of one stand of the base's marker.
+        tip_m: (3,) in ft_sensor.
+        estimate_offset: estimate the tool marker's pose in tool_tip (Y); else it is the identity.
+        arm: the arm that stood there.
+
+    Returns:
+        Both markers' places, with a check of each rest.
+
+    Raises:
+        RegistrationError: there is no rest, the tool marker's own offset is to be estimated and is
+            not identifiable, or a position doesn't agree with the others.
+
     """
     if not rests:
         raise RegistrationError(

@@ -62,7 +62,15 @@ class DeflectionSamples:
         return len(self.stamp_ns)
 
     def rows(self, rows: np.ndarray | slice) -> DeflectionSamples:
-        """Return some of the samples; whole segments, if a model with memory gets them."""
+        """Return some of the samples; whole segments, if a model with memory gets them.
+
+        Args:
+            rows: mask (n,) bool, indices or slice of samples.
+
+        Returns:
+            The samples, in the order of `rows`.
+
+        """
         picked = {name: getattr(self, name)[rows] for name in _BY_SAMPLE}
         return replace(self, **picked)
 
@@ -74,7 +82,17 @@ class DeflectionSamples:
 
 
 def check_to_fit(samples: DeflectionSamples, used: np.ndarray) -> None:
-    """Raise DeflectionError unless a model can be fitted to the used samples (n,) bool."""
+    """Check that a model can be fitted to the used samples.
+
+    Args:
+        samples: n samples.
+        used: (n,) bool; the loads of the others count as well.
+
+    Raises:
+        DeflectionError: no sample is used, a value is not finite or beyond any measurement, or the
+            noise is not positive.
+
+    """
     if not used.any():
         raise DeflectionError("there are no samples to fit a deflection model to")
     for values in (samples.joints, samples.wrench, samples.deflection[used]):
@@ -103,7 +121,17 @@ def joined(parts: Sequence[DeflectionSamples]) -> DeflectionSamples:
     """Join samples of several recordings of one tool; segments and set numbers stay apart.
 
     The noise is the root mean square of theirs. Positions keep their numbers: give the same one to
-    the same place. Raises ValueError for another tip, or for no parts.
+    the same place.
+
+    Args:
+        parts: samples of one arm, in the order wanted; one at least is not empty.
+
+    Returns:
+        All samples.
+
+    Raises:
+        ValueError: the tips differ, or there are no parts.
+
     """
     if not parts:
         raise ValueError("no samples to join")
@@ -136,7 +164,15 @@ class LoadCycle(NamedTuple):
 
 
 def no_load(at_tip: Array) -> tuple[float, float]:
-    """Return the largest force (N) and torque (N.m) that are no load among these (n, 6)."""
+    """Return the largest force and torque that are no load among these.
+
+    Args:
+        at_tip: (n, 6) wrenches at the tip in base_link, N and N.m.
+
+    Returns:
+        Force (N) and torque (N.m).
+
+    """
     force = np.linalg.norm(at_tip[:, :3], axis=1).max(initial=0.0)
     torque = np.linalg.norm(at_tip[:, 3:], axis=1).max(initial=0.0)
     return (
@@ -150,9 +186,17 @@ def find_pushes(
 ) -> list[LoadCycle]:
     """Return the pushes in their order, none over the end of a segment.
 
-    A push without an unloaded sample before or after it in its segment is left out: its
-    deflection without load is not known. at_tip: wrenches (n, 6) at the tip in base_link; limits:
-    force (N) and torque (N.m) that are no load, None for those of `no_load`.
+    A push without an unloaded sample before or after it in its segment is left out: its deflection
+    without load is not known.
+
+    Args:
+        samples: n samples.
+        at_tip: (n, 6) their wrenches at the tip in base_link, N and N.m.
+        limits: force (N) and torque (N.m) that are no load; None: those of `no_load`.
+
+    Returns:
+        The pushes, with rows of `samples`.
+
     """
     if not len(samples):
         return []
