@@ -204,9 +204,21 @@ class CollectionPlan:
     def begun_at(
         self, joints: Array, settings: CollectionParameters, tip_m: Array
     ) -> CollectionPlan:
-        """Return the plan of an arm that stands at joints (j,); raises PlanError as `make_plan`.
+        """Return the plan of an arm that stands at some joints.
 
         An arm with a description of its links is kept from hitting itself on its ways.
+
+        Args:
+            joints: (j,) where the arm stands at the start, m and rad.
+            settings: the node's parameters.
+            tip_m: (3,) in ft_sensor.
+
+        Returns:
+            The plan with the positions that the arm goes to.
+
+        Raises:
+            PlanError: as `make_plan`, or for a collision on the ways.
+
         """
         plan, arm = self, settings.arm
         if self.from_present:
@@ -287,14 +299,32 @@ class CollectionParameters(MotionParameters):
         make_plan(self, np.zeros(3))
 
     def folder(self, name: str) -> Path:
-        """Return one of the two directories, by its parameter's name."""
+        """Return one of the two directories.
+
+        Args:
+            name: the parameter's name, `tools_dir` or `recordings_dir`.
+
+        Returns:
+            The directory, with `~` expanded.
+
+        """
         return Path(getattr(self, name)).expanduser()
 
 
 def make_plan(settings: CollectionParameters, tip_m: Array) -> CollectionPlan:
-    """Check what is asked for of `settings.arm`; tip_m (3,) in ft_sensor.
+    """Check what is asked for, and make the plan.
 
-    Raises OutOfReachError, and PlanError for anything else that can't be done.
+    Args:
+        settings: the node's parameters, with what a goal asks for in their place.
+        tip_m: (3,) in ft_sensor.
+
+    Returns:
+        The plan; `from_present` where no positions are given for an arm other than the Galen.
+
+    Raises:
+        OutOfReachError: a position that the arm can't take.
+        PlanError: anything else that can't be done, as a push that the sensor must not read.
+
     """
     arm, sets = settings.arm, settings.sets
     if not 1 <= sets <= MOST_SETS:

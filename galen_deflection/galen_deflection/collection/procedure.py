@@ -122,7 +122,16 @@ class CollectionProcedure(GoalProcedure):
         return self._good + len(self._left_out), self._plan.total
 
     def finish(self, code: IntEnum, message: str) -> Finished:
-        """Return an end with what has come of it so far."""
+        """Return an end with what has come of it so far.
+
+        Args:
+            code: one of `ErrorCode`.
+            message: the error in words; empty without one.
+
+        Returns:
+            The end, with pushes done and left out, shift and warnings.
+
+        """
         warnings = [*self._plan.warnings, *self._warnings]
         if self._clock.jumps:
             warnings.append(
@@ -160,7 +169,14 @@ class CollectionProcedure(GoalProcedure):
             self._look_at_push(stamp_ns)
 
     def on_tool_marker(self, stamp_ns: int, rotation: Array, translation: Array) -> None:
-        """Take the tool's marker in `tracker`: (3, 3) and (3,), m."""
+        """Take the tool's marker in `tracker`.
+
+        Args:
+            stamp_ns: its stamp.
+            rotation: (3, 3).
+            translation: (3,), m.
+
+        """
         if self._no_contact is not None:
             self._no_contact.tool.add(stamp_ns, rotation, translation)
         key = (*translation.tolist(), *rotation.ravel().tolist())
@@ -171,7 +187,14 @@ class CollectionProcedure(GoalProcedure):
             self._tool_stamp_ns, self._tool_seen_s = stamp_ns, self._time_s
 
     def on_base_marker(self, stamp_ns: int, rotation: Array, translation: Array) -> None:
-        """Take the base's marker in `tracker`: (3, 3) and (3,), m."""
+        """Take the base's marker in `tracker`.
+
+        Args:
+            stamp_ns: its stamp.
+            rotation: (3, 3).
+            translation: (3,), m.
+
+        """
         if self._no_contact is not None:
             self._no_contact.base.add(stamp_ns, rotation, translation)
 
@@ -182,7 +205,14 @@ class CollectionProcedure(GoalProcedure):
             self._next()
 
     def on_service(self, success: bool, message: str, busy: bool = False) -> None:
-        """Take the answer to the last Push; `busy`: one that was asked for earlier goes on."""
+        """Take the answer to the last Push.
+
+        Args:
+            success: whether the push was made.
+            message: the service's reason where it was not.
+            busy: a push that was asked for earlier goes on; this one is asked for again.
+
+        """
         if self._waiting_for != "push_tool" or self.ending:
             return
         self._waiting_for = ""

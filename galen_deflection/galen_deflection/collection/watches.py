@@ -52,7 +52,14 @@ class MarkerPoses:
         self.poses: list[tuple[Array, Array]] = []
 
     def add(self, stamp_ns: int, rotation: Array, translation: Array) -> None:
-        """Take a pose in `tracker`: (3, 3) and (3,), m. Values that are not finite are ignored."""
+        """Take a pose in `tracker`; values that are not finite are ignored.
+
+        Args:
+            stamp_ns: its stamp.
+            rotation: (3, 3).
+            translation: (3,), m.
+
+        """
         key = (*translation.tolist(), *rotation.ravel().tolist())
         if not np.all(np.isfinite(key)) or (not self._may_stand and key == self._last):
             return
@@ -66,7 +73,16 @@ class MarkerPoses:
         self.poses.clear()
 
     def complaint(self, duration_s: float, max_gap_s: float) -> str:
-        """Return why the marker was not seen all the time; empty if it was."""
+        """Return why the marker was not seen all the time.
+
+        Args:
+            duration_s: how long it was watched, s.
+            max_gap_s: longest time without a pose, s.
+
+        Returns:
+            In words; empty if it was seen.
+
+        """
         if len(self.stamps) < _LEAST_POSES:
             return f"was seen {len(self.stamps)} times in {duration_s:g} s"
         gap_s = float(np.max(np.diff(self.stamps))) / NS
@@ -99,11 +115,22 @@ class NoContactWatch:
         self.complaint = ""
 
     def add_joints(self, position: Array) -> None:
-        """Take the joints (j,), m and rad."""
+        """Take a joint state.
+
+        Args:
+            position: (j,), m and rad.
+
+        """
         self._joints.append(position)
 
     def add_wrench(self, stamp_ns: int, wrench: Array) -> None:
-        """Take a compensated wrench (6,) in ft_sensor, N and N.m."""
+        """Take a wrench; after `untouched_s` of them, judge the phase.
+
+        Args:
+            stamp_ns: its stamp.
+            wrench: (6,) compensated, in ft_sensor, N and N.m.
+
+        """
         self._stamps.append(stamp_ns)
         self._wrenches.append(wrench)
         if stamp_ns - self._stamps[0] < self._settings.untouched_s * NS:
@@ -141,7 +168,18 @@ class NoContactWatch:
 
 
 def collection_shift(first: NoContact, second: NoContact, tip_m: Array, arm: Arm) -> Array:
-    """Return how far the tip (6,) is from where it should be, in base_link, m and rad."""
+    """Return how far the tip is from where it should be at the second calibration set.
+
+    Args:
+        first: the first calibration set, which registers the tracker.
+        second: the second one.
+        tip_m: (3,) in ft_sensor.
+        arm: the arm that stood there.
+
+    Returns:
+        (6,), translation (m) and rotation vector (rad) in base_link.
+
+    """
     registered = (
         Transform(*arm.tip_pose(first.joints, tip_m)) @ _tool_in_base_marker(first).inverse()
     )
@@ -152,7 +190,18 @@ def collection_shift(first: NoContact, second: NoContact, tip_m: Array, arm: Arm
 def shift_sentence(
     first: NoContact, second: NoContact, shift: Array, settings: CollectionParameters
 ) -> str:
-    """Return a warning with the numbers where it is more than allowed, else empty."""
+    """Return a warning with the numbers where the shift is more than allowed.
+
+    Args:
+        first: the first calibration set.
+        second: the second one.
+        shift: (6,), by `collection_shift`.
+        settings: the node's parameters, with both tolerances.
+
+    Returns:
+        A sentence; empty where the shift is allowed.
+
+    """
     most_m, most_rad = settings.shift_tolerance_m, settings.shift_tolerance_rad
     moved_m, turned_rad = _sizes(shift)
     if moved_m <= most_m and turned_rad <= most_rad:
@@ -207,7 +256,13 @@ class PushWatch:
         self._aside_then = 0.0
 
     def look(self, time_s: float, load: Array) -> None:
-        """Take the load (6,) at the tip in base_link, N and N.m, and the time, s of stamps."""
+        """Take the load.
+
+        Args:
+            time_s: the time of the wrench's stamps, s.
+            load: (6,) at the tip in base_link, N and N.m.
+
+        """
         part = load[self._kind]
         self.along = float(part @ self._direction)
         self.aside = float(np.linalg.norm(part - self.along * self._direction))
@@ -229,7 +284,13 @@ class PushWatch:
             self.outcome = self._verdict
 
     def spoil(self, reason: str, time_s: float) -> None:
-        """Reject the push for a reason other than its load."""
+        """Reject the push for a reason other than its load.
+
+        Args:
+            reason: in words, the later `outcome`.
+            time_s: the time of the wrench's stamps, s.
+
+        """
         if self._verdict:
             return
         self._verdict = reason
