@@ -55,7 +55,12 @@ class CollectClient(GoalClient):
         )
 
     def on_feedback(self, feedback: Any) -> None:
-        """Show it: the bar at each, a line where something new is to be done or was wrong."""
+        """Show it: the bar at each, a line where something new is to be done or was wrong.
+
+        Args:
+            feedback: a CollectPushes.Feedback.
+
+        """
         self.bar.show(feedback.message, feedback.done, feedback.total)
         # What is pushed now comes some ten times a second, and only the bar can keep up with it.
         looks = feedback.state in _PUSHING and math.isfinite(feedback.along)
@@ -68,7 +73,15 @@ class CollectClient(GoalClient):
 
 
 def parse(arguments: list[str]) -> argparse.Namespace:
-    """Read the command line; exits with code 2 and a message where it is wrong."""
+    """Read the command line; exits with code 2 and a message where it is wrong.
+
+    Args:
+        arguments: the command line without the program's name and ROS' own arguments.
+
+    Returns:
+        The options.
+
+    """
     parser = make_parser(
         "collect",
         "Record pushes at the tool's tip, for deflection models to be fitted to.",
@@ -117,7 +130,15 @@ def main() -> None:
 
 
 def result_fields(result: Any) -> dict[str, Any]:
-    """Return a CollectPushes.Result for JSON, which has no NaN."""
+    """Return a result for JSON, which has no NaN.
+
+    Args:
+        result: a CollectPushes.Result.
+
+    Returns:
+        Its fields; `calibration_shift` (m, rad) None without a second calibration set.
+
+    """
     content = result_to_dict(result)
     if not np.all(np.isfinite(result.calibration_shift)):
         content["calibration_shift"] = None
@@ -125,7 +146,15 @@ def result_fields(result: Any) -> dict[str, Any]:
 
 
 def format_result(result: Any) -> str:
-    """Return a CollectPushes.Result for a person."""
+    """Return a result for a person.
+
+    Args:
+        result: a CollectPushes.Result.
+
+    Returns:
+        Lines of text.
+
+    """
     lines = [f"{result.pushes} of {result.pushes_asked} pushes, {result.messages} messages"]
     shift = np.asarray(result.calibration_shift)
     if np.all(np.isfinite(shift)):

@@ -91,7 +91,19 @@ class CollectAction(ArmAction):
     # ---- the action
 
     def make_goal(self, handle: ServerGoalHandle) -> _Goal:
-        """Return the goal to run; raises RejectedGoalError."""
+        """Return the goal to run.
+
+        Args:
+            handle: the accepted goal.
+
+        Returns:
+            The goal, with its plan checked and nothing written yet.
+
+        Raises:
+            RejectedGoalError: the name, the tool's file or the plan can't be used, or the folder
+                exists.
+
+        """
         request, settings = handle.request, self.node.settings
         try:
             folder = CollectionFolder(settings.folder("recordings_dir"), request.name)
@@ -123,11 +135,29 @@ class CollectAction(ArmAction):
         return _Goal(self, handle, procedure, tool, folder)
 
     def introduce(self, goal: _Goal) -> str:
-        """Describe in the log what begins."""
+        """Describe in the log what begins.
+
+        Args:
+            goal: the running goal.
+
+        Returns:
+            Number of pushes and folder.
+
+        """
         return f"{goal.procedure.plan.total} pushes, {goal.folder.final}"
 
     def make_end(self, code: IntEnum, message: str, goal: _Goal | None) -> End:
-        """Return an end that the procedure doesn't know of."""
+        """Return an end that the procedure doesn't know of.
+
+        Args:
+            code: one of `ErrorCode`.
+            message: the error in words.
+            goal: the running goal; None: it never began.
+
+        Returns:
+            The end, with what has come of the goal so far.
+
+        """
         if goal is None:
             return Finished(ErrorCode(code), message)
         return goal.procedure.finish(code, message)
@@ -135,7 +165,17 @@ class CollectAction(ArmAction):
     def make_result(
         self, handle: ServerGoalHandle, end: Finished, goal: _Goal | None
     ) -> tuple[CollectPushes.Result, str]:
-        """Return the action's result, and a sentence for /diagnostics."""
+        """Return the action's result; warnings go to the log.
+
+        Args:
+            handle: the goal.
+            end: the end that it came to.
+            goal: the running goal; None: it never began.
+
+        Returns:
+            The result, and a sentence for /diagnostics.
+
+        """
         for warning in end.warnings:
             self.node.get_logger().warning(warning)
         result = CollectPushes.Result(
@@ -162,7 +202,15 @@ class CollectAction(ArmAction):
     # ---- inputs
 
     def subscribe(self, goal: _Goal) -> list[Subscription]:
-        """Subscribe to the tracker, too."""
+        """Subscribe to the tracker, too.
+
+        Args:
+            goal: the running goal.
+
+        Returns:
+            Subscriptions of joints, compensated wrench and both markers.
+
+        """
         subscribe = self.node.create_subscription
         return [
             *super().subscribe(goal),
@@ -175,11 +223,27 @@ class CollectAction(ArmAction):
         return [self.node.resolve_topic_name("wrench_raw")]
 
     def needed_clients(self, goal: _Goal) -> list[Client]:
-        """Return that of `push_tool`, where it pushes."""
+        """Return that of `push_tool`, where it pushes.
+
+        Args:
+            goal: the running goal.
+
+        Returns:
+            Clients that must find their service before the goal begins.
+
+        """
         return [self._push_client] if goal.handle.request.push_by_service else []
 
     def silent_text(self, topics: list[str]) -> str:
-        """Return what is wrong where topics have no publisher."""
+        """Return what is wrong where topics have no publisher.
+
+        Args:
+            topics: names of these topics.
+
+        Returns:
+            A sentence with the remedy.
+
+        """
         return (
             f"no publisher on {', '.join(topics)}: are the driver, the compensation"
             " (wrench_compensated) and the tracker running?"
@@ -212,7 +276,12 @@ class CollectAction(ArmAction):
             self.node.feed(event, stamp_to_ns(message.header.stamp), rotation, translation)
 
     def look_after(self, goal: _Goal) -> None:
-        """Look whether the recording goes on."""
+        """Look whether the recording goes on.
+
+        Args:
+            goal: the running goal.
+
+        """
         if goal.recording is None:
             return
         if goal.recording.error:
@@ -223,7 +292,13 @@ class CollectAction(ArmAction):
     # ---- commands
 
     def obey(self, goal: _Goal, command: Any) -> None:
-        """Give feedback, push, record."""
+        """Give feedback, push, record.
+
+        Args:
+            goal: the running goal.
+            command: a `Feedback`, `Push` or `Record`.
+
+        """
         match command:
             case Feedback():
                 self._publish_feedback(goal, command)
@@ -271,7 +346,16 @@ class CollectAction(ArmAction):
     # ---- the end
 
     def put_away(self, goal: _Goal, end: Finished) -> Finished:
-        """Close the bag and the folder; returns the end that it came to."""
+        """Close the bag and the folder.
+
+        Args:
+            goal: the running goal.
+            end: the procedure's end.
+
+        Returns:
+            The end that it came to, with the recording's problems among its warnings.
+
+        """
         if not goal.folder_made:
             return end
         try:
@@ -314,7 +398,15 @@ class CollectAction(ArmAction):
     # ---- diagnostics
 
     def status_values(self, goal: _Goal) -> dict[str, object]:
-        """Return what is recorded, and where."""
+        """Return what is recorded, and where.
+
+        Args:
+            goal: the running goal.
+
+        Returns:
+            Values by key for /diagnostics.
+
+        """
         recorded = goal.recording.messages if goal.recording else goal.messages
         return {
             "tool": goal.tool.tool,
@@ -326,7 +418,18 @@ class CollectAction(ArmAction):
 def summary(
     request: CollectPushes.Goal, plan: CollectionPlan, end: Finished, messages: int
 ) -> dict[str, Any]:
-    """Make the content of `collection.json`; SI units, lengths m, angles rad, loads N and N.m."""
+    """Make the content of `collection.json`; SI units, lengths m, angles rad, loads N and N.m.
+
+    Args:
+        request: what the goal asked for.
+        plan: the plan with the positions that the arm went to.
+        end: what came of it.
+        messages: number of messages recorded, in all bags.
+
+    Returns:
+        Content for JSON.
+
+    """
     shift = end.shift
     return {
         "schema_version": SCHEMA_VERSION,

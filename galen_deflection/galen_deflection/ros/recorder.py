@@ -52,7 +52,16 @@ class CollectionFolder:
         self.path = self.final
 
     def make(self, tool: CalibrationFile) -> None:
-        """Make the unfinished folder with the tool's file in it; raises a GalenError."""
+        """Make the unfinished folder with the tool's file in it.
+
+        Args:
+            tool: calibration of the tool that is on.
+
+        Raises:
+            DeflectionError: the folder can't be made.
+            GalenError: the tool's file can't be written.
+
+        """
         try:
             self.final.parent.mkdir(parents=True, exist_ok=True)
             self.path = self._make_unfinished()
@@ -61,9 +70,18 @@ class CollectionFolder:
         write_calibration(self.path / TOOL_FILE, tool)
 
     def close(self, summary: Mapping[str, Any], *, finished: bool) -> Path:
-        """Write the summary and return the folder, under its own name if it is finished.
+        """Write the summary.
 
-        Raises DeflectionError; all that was recorded is then in `path`.
+        Args:
+            summary: content of `collection.json`.
+            finished: whether the folder gets its own name.
+
+        Returns:
+            The folder, under its own name if it is finished.
+
+        Raises:
+            DeflectionError: something can't be written; all that was recorded is then in `path`.
+
         """
         text = json.dumps(summary, indent=2) + "\n"
         try:
@@ -149,7 +167,18 @@ class BagRecording:
         return self._messages_before + self._node.messages
 
     def change(self, path: Path) -> list[str]:
-        """Go on in another bag, and say what was wrong with the one before; raises BagError."""
+        """Go on in another bag.
+
+        Args:
+            path: the next bag, which must not exist.
+
+        Returns:
+            What was wrong with the bag before, a sentence each.
+
+        Raises:
+            BagError: the new bag can't be made, or the recording has stopped.
+
+        """
         problems = self._problems()
         new = GrowingBagWriter(path).__enter__()
         done: Future[None] = Future()
