@@ -145,7 +145,16 @@ class Deflector:
     def set_model(
         self, model: DeflectionModel | None, why_none: str = "no model is loaded"
     ) -> list[Deflected | Rejected]:
-        """Activate a model, or none; it has seen no load yet. `why_none` says why none."""
+        """Activate a model, or none; it has seen no load yet.
+
+        Args:
+            model: the fitted model; None: none, and every wrench is rejected.
+            why_none: the reason without a model, as rejections name it.
+
+        Returns:
+            What became of the wrenches that waited, where they are rejected now.
+
+        """
         self._model = model
         self._why_none = why_none
         self._stream = None if model is None else model.stream()
@@ -154,12 +163,29 @@ class Deflector:
         return self._compare_tips()
 
     def set_tool(self, tool: str, tip_m: Array | None) -> list[Deflected | Rejected]:
-        """Say which tool is on, and where its tip (3,) is in ft_sensor; None: not known."""
+        """Set the tool that is on; a model for another tip is not used with it.
+
+        Args:
+            tool: the tool's name, for messages.
+            tip_m: (3,) in ft_sensor; None: not known, and not compared.
+
+        Returns:
+            What became of the wrenches that waited, where they are rejected now.
+
+        """
         self._tool, self._tool_tip_m = tool, tip_m
         return self._compare_tips()
 
     def forget(self, why: str) -> bool:
-        """Forget all loads, as if the arm had never been loaded. False: there were none."""
+        """Forget all loads, as if the arm had never been loaded.
+
+        Args:
+            why: the reason, for `on_forgotten`.
+
+        Returns:
+            Whether there were any.
+
+        """
         if self._stream is None or self._fed_ns is None:
             return False
         self._stream.reset()
@@ -175,7 +201,16 @@ class Deflector:
     def push_joints(
         self, stamp_ns: int, positions: tuple[float, ...]
     ) -> list[Deflected | Rejected]:
-        """Take joints (j,), m and rad; returns what became of the wrenches that waited."""
+        """Take a joint sample.
+
+        Args:
+            stamp_ns: its stamp.
+            positions: (j,), m and rad.
+
+        Returns:
+            What became of the wrenches that waited for it.
+
+        """
         return self._made(self.pairing.push_joints(stamp_ns, positions))
 
     def push_wrench(
@@ -185,7 +220,18 @@ class Deflector:
         frame_id: str | None = None,
         tag: object = None,
     ) -> list[Deflected | Rejected]:
-        """Take a wrench as `WrenchPairing.push_wrench`; returns what became of those answered."""
+        """Take a wrench as `WrenchPairing.push_wrench`.
+
+        Args:
+            stamp_ns: its stamp.
+            wrench: (6,) compensated, in the sensor's frame, N and N.m.
+            frame_id: the message's; None: not checked.
+            tag: comes back with the deflection.
+
+        Returns:
+            What became of it and of those that waited; empty while it waits for joints.
+
+        """
         return self._made(self.pairing.push_wrench(stamp_ns, wrench, frame_id, tag))
 
     # Inside
@@ -259,7 +305,15 @@ class GravcompState(NamedTuple):
 
     @classmethod
     def of(cls, values: Mapping[str, str]) -> GravcompState:
-        """From a report's values; what lacks is empty."""
+        """Make it from a report's values; what lacks is empty.
+
+        Args:
+            values: texts by key, of galen_gravcomp's status on /diagnostics.
+
+        Returns:
+            The state.
+
+        """
         try:
             tip = np.array([float(word) for word in values.get("tip_m", "").split()])
         except ValueError:
@@ -274,7 +328,15 @@ class GravcompState(NamedTuple):
         )
 
     def change_since(self, before: GravcompState) -> str:
-        """Return what changed of the wrench's meaning, in words; empty if nothing did."""
+        """Return what changed of the wrench's meaning.
+
+        Args:
+            before: an earlier state.
+
+        Returns:
+            In words; empty if nothing did.
+
+        """
         if self.tool != before.tool:
             return f"gravcomp's tool changed from '{before.tool}' to '{self.tool}'"
         if self.calibrated_at != before.calibrated_at:
@@ -287,11 +349,19 @@ class GravcompState(NamedTuple):
 def corrected_tip(
     rotation: Array, position: Array, deflection: Sequence[float]
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Displace the tip's pose: rotation (3, 3), position (3,), m; deflection (6,), m and rad.
+    """Displace the tip's pose by a deflection.
 
     A deflection is a rigid displacement: its translation adds to the tip's position, its rotation
     vector, along the axes of base_link, turns the tip after the joints have, R' = exp(r^) R.
-    Returns the position and the quaternion xyzw.
+
+    Args:
+        rotation: (3, 3), of the tip in base_link by the joints.
+        position: (3,), of the tip in base_link by the joints, m.
+        deflection: (6,), translation (m) and rotation vector (rad) in base_link.
+
+    Returns:
+        Position (3,), m, and quaternion xyzw, in base_link.
+
     """
     x, y, z, w = matrix_to_quaternion(rotation).tolist()
     px, py, pz = position.tolist()

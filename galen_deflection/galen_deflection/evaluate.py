@@ -63,9 +63,19 @@ from galen_deflection.scoring.score import Score, by_position, score
 
 
 def evaluate_files(arguments: argparse.Namespace) -> int:
-    """Score files of models on recordings; returns the exit code; raises GalenError.
+    """Score files of models on recordings.
 
     Of several recordings, one that can't be used is named, and the others are evaluated.
+
+    Args:
+        arguments: options of `build_parser`, with `model`.
+
+    Returns:
+        The exit code.
+
+    Raises:
+        GalenError: a model's file or the only recording can't be used.
+
     """
     arm, bags = chosen_arm(arguments), find_bags(arguments.inputs)
     paths = _model_names(list(dict.fromkeys(arguments.model)), arm)
@@ -195,9 +205,19 @@ def _plots(
 
 
 def evaluate_kinds(arguments: argparse.Namespace) -> int:
-    """Fit kinds to a part of recordings and score the rest; returns the exit code.
+    """Fit kinds to a part of recordings and score the rest.
 
-    Raises GalenError; a kind that can't be fitted is named, and the others are scored.
+    A kind that can't be fitted is named, and the others are scored.
+
+    Args:
+        arguments: options of `build_parser`, without `model`.
+
+    Returns:
+        The exit code.
+
+    Raises:
+        GalenError: a recording can't be used, or the recordings can't be split.
+
     """
     recordings = read_all(arguments.inputs, arguments)
     samples = join_recordings(recordings)
@@ -349,7 +369,15 @@ def build_parser() -> argparse.ArgumentParser:
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the command; returns the exit code."""
+    """Run the command.
+
+    Args:
+        args: the command line without the program's name; None: that of the process.
+
+    Returns:
+        The exit code.
+
+    """
     parser = build_parser()
     arguments = parser.parse_args(args)
     tables = [not path.is_dir() and path.suffix.lower() in _TABLES for path in arguments.inputs]

@@ -31,16 +31,32 @@ class DeflectorMonitor(StreamMonitor):
         self._shares: deque[tuple[float, int, int]] = deque()
 
     def set_model_error(self, text: str) -> None:
-        """Say why the model asked for at start is not loaded; empty when one is active."""
+        """Set why the model asked for at start is not loaded.
+
+        Args:
+            text: the reason; empty when a model is active.
+
+        """
         self._model_error = text
 
     def on_forgotten(self, why: str, now_s: float) -> None:
-        """Note that loads were forgotten."""
+        """Note that loads were forgotten.
+
+        Args:
+            why: the reason, in words.
+            now_s: wall time, s, monotonic.
+
+        """
         self._last_forgotten = why
         self.on_notice(f"the loads so far are forgotten: {why}", now_s)
 
     def tick(self, now_s: float) -> None:
-        """As `StreamMonitor.tick`."""
+        """As `StreamMonitor.tick`.
+
+        Args:
+            now_s: wall time, s, monotonic.
+
+        """
         super().tick(now_s)
         deflector, shares = self._deflector, self._shares
         shares.append((now_s, deflector.predicted, deflector.extrapolated))
@@ -87,7 +103,15 @@ class DeflectorMonitor(StreamMonitor):
         return StreamState(Severity.OK, self.working, text)
 
     def values(self, now_s: float) -> dict[str, object]:
-        """Everything measured, for /diagnostics; units are in the names."""
+        """Everything measured, for /diagnostics; units are in the names.
+
+        Args:
+            now_s: wall time, s, monotonic.
+
+        Returns:
+            Values by key.
+
+        """
         deflector = self._deflector
         model, last = deflector.model, deflector.last
         values: dict[str, object] = {"model": "" if model is None else model.name}

@@ -70,7 +70,20 @@ def build_parser() -> argparse.ArgumentParser:
 
 
 def fit(kind: str, samples: DeflectionSamples, quiet: bool) -> DeflectionModel:
-    """Fit to all samples, with a bar; raises GalenError."""
+    """Fit to all samples, with a progress bar.
+
+    Args:
+        kind: one of `KINDS`.
+        samples: n samples to fit to.
+        quiet: without the bar.
+
+    Returns:
+        The fitted model.
+
+    Raises:
+        GalenError: the model can't be fitted.
+
+    """
     with progress(1, "iteration", quiet=quiet) as bar:
         bar.set_description(kind)
 
@@ -83,7 +96,18 @@ def fit(kind: str, samples: DeflectionSamples, quiet: bool) -> DeflectionModel:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Train as the options say; returns the exit code; raises GalenError."""
+    """Train as the options ask for.
+
+    Args:
+        arguments: options of `build_parser`.
+
+    Returns:
+        The exit code.
+
+    Raises:
+        GalenError: a file can't be used or written, or the model can't be fitted.
+
+    """
     check_file(arguments.output)
     quiet = arguments.json
     recordings = read_all(arguments.bags, arguments)
@@ -142,7 +166,15 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the command; returns the exit code."""
+    """Run the command.
+
+    Args:
+        args: the command line without the program's name; None: that of the process.
+
+    Returns:
+        The exit code.
+
+    """
     arguments = build_parser().parse_args(args)
     return run_command("train", lambda: run(arguments))
 

@@ -146,7 +146,7 @@ def weight_shapes(inputs: int, hidden: int, outputs: int) -> dict[str, tuple[int
         outputs: number of outputs.
 
     Returns:
-        Shapes by the weights' names, in the order of PyTorch's layers.
+        Shapes by the weights' names, in the order of the layers.
 
     """
     return {

@@ -105,6 +105,7 @@ def fit_network(samples: DeflectionSamples, settings: FitSettings | None = None)
     Raises:
         DeflectionError: the samples can't be fitted to, no part of them can be held out, the
             training diverges, or PyTorch is missing.
+        ValueError: `settings.use` is for another number of samples.
 
     """
     settings = settings or FitSettings()
@@ -217,12 +218,12 @@ def interpolated(at: Array, time: Array, values: Array) -> Array:
 
 
 def hold_out(samples: DeflectionSamples, used: np.ndarray) -> np.ndarray:
-    """Choose at most a quarter of the used samples, of positions that also remain.
+    """Choose about a quarter of the used samples, of positions that also remain.
 
     A training only checks itself on them. The last repetitions of positions that have several, as
-    the report held out sets; of as many positions as make up a quarter. Where no position has
-    several, the last blocks of each (blocks: as `least_squares`, about a push); nothing of a
-    position that has only one.
+    the report held out sets; of as many positions as make up at most a quarter. Where this finds
+    none, the last quarter of each position's blocks, and at least one (blocks: as `least_squares`,
+    about a push); nothing of a position that has only one.
 
     Args:
         samples: n samples.
@@ -276,7 +277,7 @@ def train(
             none: the last one.
         unit: (n_out,), what an error is measured by; None: the targets' standard deviations.
         least: (n_in,), inputs are standardised by no less; None: no limit.
-        on_progress: called after each iteration with how many are done, of how many.
+        on_progress: called after each iteration with the number done and the number of all.
 
     Returns:
         The network; root mean square errors over `unit` after each iteration, of `held_out` or else

@@ -95,6 +95,7 @@ def fit_stiffness(samples: DeflectionSamples, settings: FitSettings | None = Non
     Raises:
         DeflectionError: the samples can't be fitted to, are without load, or want a spring that
             pushes back.
+        ValueError: `settings.use` is for another number of samples.
 
     """
     basis = SpringBasis(samples.tip_m, arm=samples.arm)
@@ -113,6 +114,7 @@ def fit_hysteresis(samples: DeflectionSamples, settings: FitSettings | None = No
 
     Raises:
         DeflectionError: as of `fit_stiffness`.
+        ValueError: `settings.use` is for another number of samples.
 
     """
     settings = settings or FitSettings()
