@@ -157,7 +157,20 @@ class BagJob:
         return to_json(self.evaluate(bag))
 
     def evaluate(self, bag: Place, on_progress: OnProgress | None = None) -> BagEvaluation:
-        """Evaluate a bag; raises GalenError, naming the bag or the calibration file."""
+        """Evaluate a bag; plots and bags that are asked for are written.
+
+        Args:
+            bag: path or URL.
+            on_progress: called with the arm's messages done so far and their number; None: no
+                calls.
+
+        Returns:
+            The evaluation.
+
+        Raises:
+            GalenError: naming the bag or the calibration file.
+
+        """
         beside = str(self.tool) if self.tool_beside else ""
         file = Path(beside) if self.tool_beside else self.tool
         with local_copy(bag, beside) as path, local_copy(file) as tool:
@@ -189,9 +202,21 @@ def evaluate_bag(
     on_progress: OnProgress | None = None,
     write_to: Path | None = None,
 ) -> BagEvaluation:
-    """Evaluate a bag on the tool's arm; raises BagError, naming the bag.
+    """Evaluate a bag on the tool's arm.
 
-    `write_to`: where to write the bag with the compensated wrench in it.
+    Args:
+        path: bag to read.
+        tool: the calibration file that is judged.
+        settings: topics, the node's parameters and limits; None: the defaults.
+        on_progress: called with the arm's messages done so far and their number; None: no calls.
+        write_to: bag to write, with the compensated wrench in it; None: none.
+
+    Returns:
+        The evaluation.
+
+    Raises:
+        BagError: the bag can't be read or written; the message names it.
+
     """
     settings = settings or EvaluationSettings()
     with ExitStack() as stack:

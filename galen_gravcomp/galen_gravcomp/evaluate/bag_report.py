@@ -45,7 +45,15 @@ _STAMP_COUNTS = ("gaps", "missing", "jumps", "duplicates", "out_of_order")
 
 
 def report(result: BagEvaluation) -> Report:
-    """Make the report of one bag; its picture is written by the job."""
+    """Make the report of one bag; its picture is written by the job.
+
+    Args:
+        result: the bag's evaluation.
+
+    Returns:
+        The report, without a plot.
+
+    """
     content = to_json(result)
     tool = result.tool
     shown: list[str | Table] = [
@@ -73,7 +81,15 @@ def report(result: BagEvaluation) -> Report:
 
 
 def to_json(result: BagEvaluation) -> dict[str, Any]:
-    """Return the evaluation as plain numbers, texts and lists; SI units, None where unknown."""
+    """Return the evaluation as plain numbers, texts and lists.
+
+    Args:
+        result: the bag's evaluation.
+
+    Returns:
+        Content for JSON; SI units, None where unknown.
+
+    """
     change = result.change
     return {
         "bag": str(result.path),
@@ -148,7 +164,15 @@ COLUMNS = {
 
 
 def to_row(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a row of `COLUMNS` from what `to_json` gave."""
+    """Return a row of `COLUMNS`.
+
+    Args:
+        content: as `to_json` returns it.
+
+    Returns:
+        Values by column, None where unknown.
+
+    """
     parts = content["residual_decomposition"] or {}
     groups = {f"rmse_{name}": values for name, values in content["rmse"].items()}
     groups["drift"] = parts.get("rate_per_hour")
@@ -174,7 +198,10 @@ def to_row(content: Mapping[str, Any]) -> dict[str, Any]:
 def print_overview(rows: list[dict[str, Any]], console: Console) -> None:
     """Print one line a bag, and a sentence on each that does not fit.
 
-    `rows`: from `to_json`, or {"bag": ..., "error": ...}.
+    Args:
+        rows: from `to_json`, or {"bag": ..., "error": ...}.
+        console: console to print to.
+
     """
     names, folder = _short_names([row["bag"] for row in rows])
     names = [escape(name) for name in names]

@@ -87,7 +87,13 @@ class ChannelCheck:
         self._channels = [_Runs() for _ in range(6)]
 
     def add(self, stamp_ns: np.ndarray, wrenches: Array) -> None:
-        """Take stamps (n,) and raw wrenches (n, 6)."""
+        """Take raw wrenches, in the order of arrival.
+
+        Args:
+            stamp_ns: (n,) their stamps.
+            wrenches: (n, 6) in the sensor's frame, N and N.m; not finite ones are counted.
+
+        """
         if not len(stamp_ns):
             return
         self._count += len(stamp_ns)
@@ -243,7 +249,17 @@ def _longest_first(runs: Sequence[EqualReadings]) -> tuple[EqualReadings, ...]:
 
 
 def describe_run(run: EqualReadings, first_ns: int, verb: str) -> str:
-    """Describe a run: "fx stuck at 0.5 N for 2.1 s, from 12.3 s on"."""
+    """Describe a run: "fx stuck at 0.5 N for 2.10 s (1050 readings), from 12.30 s on".
+
+    Args:
+        run: equal readings of one channel, or of all.
+        first_ns: stamp that the text counts time from.
+        verb: one of `RUNS`.
+
+    Returns:
+        The text, without a full stop.
+
+    """
     since_s = (run.start_ns - first_ns) * 1e-9
     span = f"for {run.duration_s:.2f} s ({run.count} readings), from {since_s:.2f} s on"
     if run.axis is None:

@@ -263,7 +263,15 @@ def _show(bar: Any, done: int, total: int | None) -> None:
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the command; returns the exit code."""
+    """Run the command.
+
+    Args:
+        args: the command line without the program's name; None: that of the process.
+
+    Returns:
+        The exit code.
+
+    """
     parser = build_parser()
     arguments = parser.parse_args(args)
     table = any(Path(one).suffix in TEXT_SUFFIXES for one in arguments.inputs)

@@ -60,7 +60,16 @@ class Allan:
 
 
 def allan_deviation(cells: Array, cell_s: float) -> Allan:
-    """Compute it of cells (n,), NaN where there is none."""
+    """Compute the overlapping Allan deviation of one channel.
+
+    Args:
+        cells: (n,) means of the reading, in its unit; NaN where there is none.
+        cell_s: length of a cell, s.
+
+    Returns:
+        Deviation with its 95 % band and fitted coefficients.
+
+    """
     there = np.isfinite(cells)
     total = np.concatenate([[0.0], np.cumsum(np.where(there, cells - np.nanmean(cells), 0.0))])
     number = np.concatenate([[0], np.cumsum(there)])
@@ -172,7 +181,16 @@ class DriftResult:
 
 
 def judge_drift(series: DriftSeries, limits: Limits) -> DriftResult:
-    """Judge a recording in all respects."""
+    """Judge a recording: noise, drift, and how long a tare holds.
+
+    Args:
+        series: the recording.
+        limits: how far a tare may be off, 1 sigma.
+
+    Returns:
+        The judgement, with an answer in words for forces and for torques.
+
+    """
     allan = tuple(allan_deviation(column, series.cell_s) for column in series.reading.T)
     delay_s, change = _changes(series)
     holds, sentence = {}, {}
@@ -220,7 +238,15 @@ def _hold_text(name: str, holds_s: float | None, limits: Limits, series: DriftSe
 
 
 def duration_text(seconds: float) -> str:
-    """Return 40 s, 12 min, 3.5 h."""
+    """Return a duration in words: 40 s, 12 min, 3.5 h.
+
+    Args:
+        seconds: the duration.
+
+    Returns:
+        Three digits and a unit.
+
+    """
     if seconds < 120.0:
         return f"{seconds:.3g} s"
     if seconds < 7200.0:
@@ -229,7 +255,16 @@ def duration_text(seconds: float) -> str:
 
 
 def report(result: DriftResult, name: str) -> Report:
-    """Make the report: the answer, then its reasons; forces in N, torques in mN.m."""
+    """Make the report: the answer, then its reasons; forces in N, torques in mN.m.
+
+    Args:
+        result: the judged recording.
+        name: of the recording; begins the picture's name.
+
+    Returns:
+        The report.
+
+    """
 
     def plot(directory: Path) -> Path:
         from galen_gravcomp.evaluate.plots import plot_drift  # slow to import

@@ -78,7 +78,15 @@ class DriftSeries:
         return len(self.reading) * self.cell_s
 
     def every(self, cell_s: float) -> Array:
-        """Means (m, 6) of `cell_s`, a multiple of the cells; NaN where less than half is there."""
+        """Return means over longer times.
+
+        Args:
+            cell_s: a multiple of the series' own `cell_s`, s.
+
+        Returns:
+            (m, 6), N and N.m; NaN where less than half is there.
+
+        """
         group = max(1, round(cell_s / self.cell_s))
         count = len(self.reading) // group
         rows = self.reading[: count * group].reshape(count, group, 6)
@@ -99,7 +107,27 @@ def read_series(
     *,
     arm: Arm,
 ) -> DriftSeries:
-    """Read bags, or tables of t, fx ... tz, on one clock. Raises GalenError."""
+    """Read bags, or tables of t, fx ... tz, on one clock.
+
+    Args:
+        paths: the files, in the order of their times.
+        topics: where the wrench and the joints are in a bag; one without joints will do without
+            `tool`.
+        tool: calibration, whose weight is subtracted; None: only the pose is kept at which the arm
+            stood longest.
+        columns: names of a table's columns where it has no first line of names; None: it has.
+        cell_s: length of a cell, s.
+        on_progress: called with a bag's messages done so far and their number, None where that is
+            not known.
+        arm: the arm that was recorded.
+
+    Returns:
+        The series, in the sensor's frame.
+
+    Raises:
+        GalenError: a file can't be used, the stamps jump back, or too little is left.
+
+    """
     wrenches, joints = CellReducer(cell_s), CellReducer(cell_s)
     for path in paths:
         if path.suffix in TEXT_SUFFIXES:
@@ -166,7 +194,22 @@ def _read_bag(
 
 
 def series_of(name: str, cells: Cells, joints: Cells, tool: CalibrationFile | None) -> DriftSeries:
-    """Make the series of cells and, where there are any, of the joints' cells."""
+    """Make the series of cells and, where there are any, of the joints' cells.
+
+    Args:
+        name: of the recording, for messages.
+        cells: of the wrench (6,), N and N.m, in the order of their times.
+        joints: cells of the angles (k,), rad, of the same length; none without joints.
+        tool: calibration, whose weight is subtracted; None: only the pose is kept at which the arm
+            stood longest.
+
+    Returns:
+        The series, without contact.
+
+    Raises:
+        GalenError: the joints lack that the tool needs, or too many or too few cells are there.
+
+    """
     notes = []
     cell_ns = round(cells.cell_s * 1e9)
     first = int(cells.start_ns[0]) // cell_ns

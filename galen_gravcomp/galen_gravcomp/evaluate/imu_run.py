@@ -40,8 +40,18 @@ _FEWEST = 100
 def imu_run_report(still: OrientationTable, specific: Array, run: MotionTable) -> Report:
     """Calibrate on still poses, score on the run: residuals in motion by model, noise at rest.
 
-    specific (n, 3): the IMU's readings in the still poses, m/s^2. Raises GalenError,
-    IdentificationError.
+    Args:
+        still: n still poses.
+        specific: (n, 3) the IMU's readings in these poses, m/s^2 in its axes.
+        run: wrench, IMU and gravity in motion.
+
+    Returns:
+        The report.
+
+    Raises:
+        GalenError: the run holds too little motion or rest, or the clocks are too far apart.
+        IdentificationError: the poses don't determine the IMU's mounting or the load.
+
     """
     imu = fit_imu(still.gravity, specific)
     moments, offset = plain_least_squares(still.gravity, still.wrench)

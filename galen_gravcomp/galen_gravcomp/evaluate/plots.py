@@ -25,7 +25,20 @@ _SLOW_PART = 1 / 20
 
 
 def plot_evaluation(result: BagEvaluation, directory: Path, name: str) -> Path:
-    """Write `<name>_evaluation.png` into `directory`; returns its path."""
+    """Write the picture of a bag's evaluation.
+
+    Args:
+        result: the bag's evaluation.
+        directory: where the picture goes; made if need be.
+        name: of the bag; begins the picture's name and title.
+
+    Returns:
+        The picture, `<name>_evaluation.png`.
+
+    Raises:
+        OSError: it can't be written.
+
+    """
     figure = plt.figure(figsize=(12, 10))
     grid = figure.add_gridspec(3, 2, height_ratios=(1.0, 1.0, 1.15))
     force = figure.add_subplot(grid[0, :])
@@ -112,7 +125,20 @@ def _poses(axes: Axes, result: BagEvaluation, which: slice, factor: float, label
 
 
 def plot_drift(result: DriftResult, directory: Path, name: str) -> Path:
-    """Write `<name>_drift.png` into `directory`; returns its path."""
+    """Write the picture of a long recording.
+
+    Args:
+        result: the judged recording.
+        directory: where the picture goes; made if need be.
+        name: of the recording; begins the picture's name.
+
+    Returns:
+        The picture, `<name>_drift.png`.
+
+    Raises:
+        OSError: it can't be written.
+
+    """
     figure, grid = plt.subplots(2, 3, figsize=(14, 8), width_ratios=(1.6, 1.0, 1.0))
     series = result.series
     cell_s = max(1, len(series.reading) // 2000) * series.cell_s

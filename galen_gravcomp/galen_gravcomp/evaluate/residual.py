@@ -95,9 +95,16 @@ class ResidualParts:
 def decompose(
     phases: StillPhases, tool: CalibrationFile, *, stamps_jump: bool = False
 ) -> ResidualParts | None:
-    """Decompose the segments' residuals; None where they are too few.
+    """Decompose the segments' residuals.
 
-    `stamps_jump`: their times are not reliable, and drift is not identifiable.
+    Args:
+        phases: n rest segments, with the compensated wrench's means.
+        tool: the calibration file that compensated them.
+        stamps_jump: their times are not reliable, and drift is not identifiable.
+
+    Returns:
+        The parts; None where segments are too few or agree on nothing.
+
     """
     if len(phases) < _FEWEST_PHASES:
         return None
@@ -181,11 +188,20 @@ class LoadChange:
 def find_change(phases: StillPhases, tool: CalibrationFile, limits: Limits) -> LoadChange | None:
     """Find where the recording falls in two: a tool was put on, or the sensor zeroed.
 
-    Each border between two segments is tried, with a load and an offset of its own on either side
-    (least squares, the channels weighted by their limits). The best one counts if the root mean
-    square left is then less than a fifth of what one load and offset leave, and that is beyond
-    the limits. If offsets of its own with one load for both sides do as well, it is the offset
-    that changed.
+    Each border with at least six segments on either side is tried, with a load and an offset of its
+    own on either side (least squares, the channels weighted by their limits). The best one counts
+    if the root mean square left is then less than a fifth of what one load and offset leave, and
+    that is beyond the limits. If offsets of its own with one load for both sides do as well, it is
+    the offset that changed.
+
+    Args:
+        phases: n rest segments, with the compensated wrench's means.
+        tool: the calibration file that compensated them.
+        limits: what a file that fits may be off by.
+
+    Returns:
+        The change; None where there is none, or segments are too few.
+
     """
     if len(phases) < 2 * _FEWEST_A_SIDE:
         return None
@@ -231,7 +247,15 @@ def find_change(phases: StillPhases, tool: CalibrationFile, limits: Limits) -> L
 
 
 def rms(values: Array) -> Array:
-    """Root mean square (6,) of rows (n, 6); NaN where there are none."""
+    """Return the root mean square of rows.
+
+    Args:
+        values: (n, 6), N and N.m.
+
+    Returns:
+        (6,); NaN where there are no rows.
+
+    """
     return np.asarray(np.sqrt(np.mean(values**2, axis=0))) if len(values) else np.full(6, np.nan)
 
 
@@ -249,10 +273,25 @@ def judge(
     start_ns: int,
     stamps_jump: bool = False,
 ) -> Verdict:
-    """Judge whether the file fits, with times from `start_ns` on.
+    """Judge whether the file fits.
 
-    `moving` (6,): RMSE of the cells' means in motion. Without a rest segment a small one is a fit
-    as well; a large one may be inertial forces.
+    Without a rest segment a small residual in motion is a fit as well; a large one may be inertial
+    forces.
+
+    Args:
+        phases: rest segments, with the compensated wrench's means.
+        parts: of their residual; None: too few segments. With a change, each side is decomposed
+            here.
+        change: where the recording falls in two; None: nowhere.
+        tool: the calibration file that is judged.
+        limits: what a file that fits may be off by.
+        moving: (6,) RMSE of the cells' means in motion, N and N.m; NaN without motion.
+        start_ns: stamp that the sentence counts time from.
+        stamps_jump: the segments' times are not reliable.
+
+    Returns:
+        The verdict.
+
     """
     if not len(phases):
         return _judge_motion(limits, moving)

@@ -19,7 +19,15 @@ _COLOURS = {True: "green", None: "yellow", False: "red"}
 
 
 def scores_report(result: TableEvaluation) -> Report:
-    """Make the report of a table."""
+    """Make the report of a table.
+
+    Args:
+        result: the table's fits and scores.
+
+    Returns:
+        The report, without a plot.
+
+    """
     return Report(_content(result), _shown(result))
 
 

@@ -54,24 +54,67 @@ Model = Callable[[OrientationTable], Predictor]
 
 
 def robust_model(known: OrientationTable) -> Predictor:
-    """Fit the suite's: axes weighted by their noise, outliers rejected, excitation checked."""
+    """Fit the suite's: axes weighted by their noise, outliers rejected, excitation checked.
+
+    Args:
+        known: readings to learn from.
+
+    Returns:
+        Predictor of readings (n, 6), N and N.m.
+
+    Raises:
+        IdentificationError: the readings don't determine the load.
+
+    """
     found = identify_single_load(known.gravity, known.wrench, arm=known.arm)
     return lambda asked: found.predict(asked.gravity)
 
 
 def plain_model(known: OrientationTable) -> Predictor:
-    """Fit the baseline of other packages: ten-parameter least squares, unweighted, unchecked."""
+    """Fit the baseline of other packages: ten-parameter least squares, unweighted, unchecked.
+
+    Args:
+        known: readings to learn from.
+
+    Returns:
+        Predictor of readings (n, 6), N and N.m.
+
+    """
     moments, offset = plain_least_squares(known.gravity, known.wrench)
     return lambda asked: gravity_regressor(asked.gravity) @ moments + offset
 
 
 def identify_mounted(groups: tuple[str, ...], known: OrientationTable) -> SingleLoad:
-    """Identify load and mounting groups together. Raises IdentificationError."""
+    """Identify load and mounting groups together.
+
+    Args:
+        groups: names of mounting groups, as `sensor_rotation`.
+        known: readings to learn from; some groups need their rotation.
+
+    Returns:
+        Load and mounting.
+
+    Raises:
+        IdentificationError: the readings don't determine them.
+
+    """
     return identify_single_load(known.gravity, known.wrench, groups, known.rotation, arm=known.arm)
 
 
 def mounted_model(groups: tuple[str, ...], known: OrientationTable) -> Predictor:
-    """Fit load and mounting groups together."""
+    """Fit load and mounting groups together.
+
+    Args:
+        groups: names of mounting groups, as `sensor_rotation`.
+        known: readings to learn from; some groups need their rotation.
+
+    Returns:
+        Predictor of readings (n, 6), N and N.m.
+
+    Raises:
+        IdentificationError: the readings don't determine them.
+
+    """
     found = identify_mounted(groups, known)
     return lambda asked: found.predict(asked.gravity, asked.rotation)
 
@@ -79,7 +122,15 @@ def mounted_model(groups: tuple[str, ...], known: OrientationTable) -> Predictor
 def identify_chosen(known: OrientationTable) -> ChosenLoad:
     """Identify the load by the model that blocks choose: the table's own where it has them.
 
-    The table has times. Raises IdentificationError.
+    Args:
+        known: readings to learn from, with times.
+
+    Returns:
+        The load, and which model and why.
+
+    Raises:
+        IdentificationError: the readings don't determine the load.
+
     """
     assert known.time is not None
     groups = None if known.block is None else np.unique(known.block, return_inverse=True)[1]
@@ -92,6 +143,16 @@ def chosen_model(known: OrientationTable) -> Predictor:
     """Fit the model that blocks of the known readings choose.
 
     A drifting bias bridges a block between known readings, and is extrapolated to one at an end.
+
+    Args:
+        known: readings to learn from, with times.
+
+    Returns:
+        Predictor of readings (n, 6), N and N.m, that have times as well.
+
+    Raises:
+        IdentificationError: the readings don't determine the load.
+
     """
     found = identify_chosen(known)
 
@@ -119,7 +180,16 @@ class HeldOutScore:
 
 
 def contiguous_blocks(count: int, blocks: int) -> np.ndarray:
-    """Label (count,) readings by runs of neighbours of about one length."""
+    """Label readings by runs of neighbours of about one length.
+
+    Args:
+        count: number of readings.
+        blocks: number of runs.
+
+    Returns:
+        (count,), from 0 to blocks - 1.
+
+    """
     return np.arange(count) * blocks // count
 
 
@@ -129,9 +199,17 @@ def cross_validate(
     model: Model,
     held_out: Callable[[], None] = lambda: None,
 ) -> HeldOutScore:
-    """Hold out each of `groups` (n,) in turn; a model may reject to do without one.
+    """Hold out each group in turn; a model may reject to do without one.
 
-    held_out: called before each.
+    Args:
+        table: n readings.
+        groups: (n,) the group's label of each reading.
+        model: fits the others, and predicts the group.
+        held_out: called before each.
+
+    Returns:
+        Residuals of all readings that could be predicted; why groups were not.
+
     """
     table = table.timed()
     residuals = np.full(table.wrench.shape, np.nan)
@@ -221,10 +299,22 @@ def evaluate_table(
     mounting: tuple[str, ...] = (),
     progress: Callable[[str, float, float], None] = lambda text, done, total: None,
 ) -> TableEvaluation:
-    """Fit and score every model on a table; raises GalenError naming the obstacle.
+    """Fit and score every model on a table.
 
-    mounting: groups to estimate beside the load, in a model of its own. progress: called with what
-    is held out, how much is done, and of how much.
+    Args:
+        table: n readings.
+        average_window_s: the table is a recording, and averages of so long, s, are taken at rest;
+            None: its rows count, or averages of them where it looks like a recording.
+        tool: calibration file to score beside, without a fit; None: none.
+        mounting: groups to estimate beside the load, in a model of its own.
+        progress: called with what is held out, how much is done, and of how much.
+
+    Returns:
+        Fits to all readings, and scores on held-out ones.
+
+    Raises:
+        GalenError: naming the obstacle; a `SetupError` where a wrong set-up explains it.
+
     """
     source_rows, phases, scatter = len(table), None, None
     read_notes = []
@@ -406,9 +496,18 @@ def _jackknife(table: OrientationTable, estimate: Callable[[np.ndarray], Array])
 
 
 def table_prediction(tool: CalibrationFile, table: OrientationTable) -> Array:
-    """Predict readings (n, 6) at a table's orientations by a file, its mounting included.
+    """Predict readings at a table's orientations by a file, its mounting included.
 
-    Raises GalenError where the file's mounting needs what the table doesn't hold.
+    Args:
+        tool: the calibration file.
+        table: n readings, whose orientations are used.
+
+    Returns:
+        (n, 6), N and N.m in the sensor's frame.
+
+    Raises:
+        GalenError: the file's mounting needs what the table doesn't hold.
+
     """
     mounting = tool.mounting
     if mounting is None:
@@ -433,6 +532,16 @@ def tool_from_table(
     Its reading under any gravity is `fit.predict`'s or, where `mounted` is given, whose load then
     holds, `mounted.predict`'s. Gravity is as large as in the table, since the mass was found with
     that. `unresolved` lists what is not identifiable from readings with one load.
+
+    Args:
+        name: the tool's name.
+        table: the readings that were fitted to.
+        fit: load and constants found on them.
+        mounted: the same with mounting groups; None: without.
+
+    Returns:
+        The calibration, not yet written.
+
     """
     predicted = fit.predict(table.gravity)
     if mounted is not None:
