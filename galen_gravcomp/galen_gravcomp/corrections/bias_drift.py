@@ -108,7 +108,13 @@ class BiasDriftFilter:
         return np.asarray(np.sqrt(np.diag(self._covariance)[_BIAS_DRIFT]))
 
     def begin(self, tared: tuple[int, tuple[float, ...]] | None = None) -> None:
-        """Begin at zero; `tared`: stamp and angles at which a tare said that it is zero."""
+        """Begin at zero.
+
+        Args:
+            tared: stamp and angles (k,), rad, of a tare, which defines the bias drift as zero
+                there; None: none.
+
+        """
         self._state: Array = np.zeros(16)
         variance = np.concatenate([_START_STD, _LOAD_STD, _POSE_STD]) ** 2
         self._covariance: Array = np.diag(variance)
@@ -124,7 +130,18 @@ class BiasDriftFilter:
             self._learn(np.zeros(6), self._design(), 1e-2 * _FLOOR**2)
 
     def see(self, end_ns: int, angles: tuple[float, ...], level: Array, std: Array) -> bool:
-        """Take a steady window's mean (6,) and its standard deviation (6,); True: no contact."""
+        """Take a steady window.
+
+        Args:
+            end_ns: its last stamp.
+            angles: (k,), rad.
+            level: (6,) its mean without weight and tare, in the sensor's frame, N and N.m.
+            std: (6,) standard deviation of this mean.
+
+        Returns:
+            Whether it is free of contact.
+
+        """
         elapsed_s = self._go_to(end_ns, angles)
         design = self._design()
         innovation = level - design @ self._state
@@ -253,7 +270,12 @@ class BiasDrift:
         }
 
     def set_enabled(self, enabled: bool) -> None:
-        """Switch on or off; off drops what was learned along the ramp."""
+        """Switch on or off; off drops what was learned along the ramp.
+
+        Args:
+            enabled: whether it is learned and subtracted.
+
+        """
         if enabled == self._enabled:
             return
         self._enabled = enabled
@@ -266,13 +288,29 @@ class BiasDrift:
     # Samples
 
     def offset_at(self, stamp_ns: int) -> Array:
-        """Offset (6,) active at a stamp; the caller must not write into it."""
+        """Return the offset active at a stamp.
+
+        Args:
+            stamp_ns: the wrench's stamp.
+
+        Returns:
+            (6,), N and N.m; the caller must not write into it.
+
+        """
         # Also while nothing is pushed (a cable whose pull is not known): a ramp begins now.
         self._see_stamp(stamp_ns)
         return self._ramp.offset_at(stamp_ns)
 
     def push(self, stamp_ns: int, angles: tuple[float, ...], untared: Array) -> None:
-        """Take an untared wrench (6,), which must not be written into later."""
+        """Take a sample.
+
+        Args:
+            stamp_ns: the wrench's stamp.
+            angles: (k,) at that stamp, rad.
+            untared: (6,) wrench without weight, before tare and bias drift, N and N.m; it must not
+                be written into later.
+
+        """
         self._see_stamp(stamp_ns)
         if not self._enabled:
             return
@@ -295,7 +333,14 @@ class BiasDrift:
             self._learned(stamp_ns, window.end_ns)
 
     def tared(self, stamp_ns: int, angles: tuple[float, ...], offset: Array) -> None:
-        """Follow a tare: it subtracts `offset` (6,) from `stamp_ns` on, along its ramp."""
+        """Follow a tare, which subtracts its offset along its ramp.
+
+        Args:
+            stamp_ns: where that ramp begins.
+            angles: (k,) there, rad.
+            offset: (6,) the tare's, N and N.m.
+
+        """
         self._tare = np.array(offset)
         self._windows.drop()
         self._filter.begin((stamp_ns, angles))

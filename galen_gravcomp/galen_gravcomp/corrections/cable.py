@@ -79,14 +79,30 @@ class CablePull:
         self._at, self.weight = (), math.nan
 
     def reading(self, joints: tuple[float, ...]) -> Array:
-        """Return the pull (6,) to subtract at joints (n,), m and rad; N and N.m along ft_sensor."""
+        """Return the pull to subtract at one pose.
+
+        Args:
+            joints: (n,), m and rad.
+
+        Returns:
+            (6,), N and N.m along ft_sensor.
+
+        """
         if joints != self._at:
             self._at = joints
             self._reading = self._compute(joints)
         return self._reading
 
     def readings(self, joints: Array) -> Array:
-        """Return pulls (n, 6) as `reading` gives them, for joints (k, n)."""
+        """Return the pulls to subtract at many poses.
+
+        Args:
+            joints: (k, n), m and rad.
+
+        Returns:
+            (k, 6), N and N.m along ft_sensor.
+
+        """
         if not len(joints):
             return np.zeros((0, 6))
         self.reading(tuple(joints[-1].tolist()))

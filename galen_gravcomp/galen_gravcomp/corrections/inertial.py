@@ -69,18 +69,32 @@ class LocalPolynomial:
     def derivatives(
         self, stamp_ns: np.ndarray, values: Array, at_ns: int
     ) -> tuple[Array, Array, Array]:
-        """Value, first (1/s) and second derivative (1/s^2), (k,) each, at `at_ns`.
+        """Return value and derivatives at a moment.
 
-        From samples stamp_ns (n,), values (n, k); n > degree, stamps distinct.
+        Args:
+            stamp_ns: (n,) distinct, n more than the polynomial's degree.
+            values: (n, k) at these stamps.
+            at_ns: the moment.
+
+        Returns:
+            Value, first (1/s) and second derivative (1/s^2), (k,) each.
+
         """
         # Less the first sample, so that the level costs no digits.
         value, first, second = self.weights(stamp_ns - at_ns) @ (values - values[0])
         return value + values[0], first, second
 
     def weights(self, after_ns: np.ndarray) -> Array:
-        """W (3, n): value and derivatives = W samples, of samples so long after the moment, ns.
+        """Return W with value and derivatives = W samples.
 
         Stamps are rounded to the microsecond, in which the arm moves less than an encoder's step.
+
+        Args:
+            after_ns: (n,) how long after the moment each sample is, ns.
+
+        Returns:
+            (3, n), of value, first (1/s) and second derivative (1/s^2).
+
         """
         after_us = (after_ns + _US // 2) // _US
         key = after_us.tobytes()
@@ -116,9 +130,14 @@ class MotionWindow:
         return None if self.newest_ns is None else self.newest_ns - self._delay_ns + self._lag_ns
 
     def push(self, stamp_ns: int, values: tuple[float, ...]) -> None:
-        """Take a sample (k,); one that is not newer than the newest is dropped.
+        """Take a sample; one that is not newer than the newest is dropped.
 
         One with a value that is not finite is kept as such: nothing is known around it.
+
+        Args:
+            stamp_ns: its stamp.
+            values: (k,), always as many.
+
         """
         if self.newest_ns is not None and stamp_ns <= self.newest_ns:
             return
@@ -139,7 +158,16 @@ class MotionWindow:
         self._count, self.newest_ns = 0, None
 
     def at(self, stamp_ns: int) -> tuple[Array, Array, Array] | str:
-        """Value and derivatives (k,) at a wrench's stamp, or why they are not known."""
+        """Return value and derivatives at a wrench's stamp.
+
+        Args:
+            stamp_ns: the wrench's, later by motion_lag_s than the samples' for the same moment.
+
+        Returns:
+            Value, first (1/s) and second derivative (1/s^2), (k,) each; or why they are not known,
+            in words.
+
+        """
         at_ns = stamp_ns - self._lag_ns
         end_ns = at_ns + self._delay_ns
         start_ns = end_ns - self._window_ns
@@ -178,7 +206,15 @@ class MotionWindow:
 
 
 def inertia_source(tool: CalibrationFile | None) -> str:
-    """Where the inertia of an active tool comes from, in words."""
+    """Return where the inertia of an active tool comes from.
+
+    Args:
+        tool: its calibration; None: no tool.
+
+    Returns:
+        In words.
+
+    """
     if tool is None:
         return "no tool"
     return "of two points at the centres" if tool.inertia is None else "the tool's file"
@@ -204,11 +240,24 @@ class InertialForces:
         return self._window.known_until_ns
 
     def late(self, newest_wrench_ns: int) -> tuple[Rejection, str] | None:
-        """Why wrenches must not wait any longer; joints that are late the pairing rejects."""
+        """Return why wrenches must not wait any longer; joints that are late the pairing rejects.
+
+        Args:
+            newest_wrench_ns: the newest wrench's stamp.
+
+        Returns:
+            Reason and sentence; None: they may wait.
+
+        """
         return None
 
     def set_tool(self, tool: CalibrationFile | None) -> None:
-        """Take another tool's loads; the samples stay."""
+        """Take another tool's loads; the samples stay.
+
+        Args:
+            tool: its calibration; None: no tool.
+
+        """
         self._inertia = inertia_source(tool)
         self._load: LoadInMotion | None = None
         self._gravity: Callable[[Sequence[float]], Array] = self._arm.gravity_in_sensor
@@ -226,15 +275,40 @@ class InertialForces:
         self._window.clear()
 
     def push_joints(self, stamp_ns: int, joints: tuple[float, ...]) -> None:
-        """Take joints (n,), NaN where unknown."""
+        """Take joints.
+
+        Args:
+            stamp_ns: their stamp.
+            joints: (n,) in the arm's order, m and rad, NaN where unknown.
+
+        """
 
     def push_imu(
         self, stamp_ns: int, angular_rad_s: Sequence[float], linear_m_s2: Sequence[float]
     ) -> None:
-        """Take an IMU's reading."""
+        """Take an IMU's reading.
+
+        Args:
+            stamp_ns: its stamp.
+            angular_rad_s: (3,) angular velocity in the IMU's axes.
+            linear_m_s2: (3,) specific force in the IMU's axes.
+
+        """
 
     def reading(self, stamp_ns: int, angles: tuple[float, ...]) -> Array | str:
-        """Inertial forces (6,) at a stamp, N and N.m in ft_sensor, or why they are not known."""
+        """Return the inertial forces at a wrench's stamp.
+
+        Args:
+            stamp_ns: the wrench's.
+            angles: (k,) at that stamp, rad.
+
+        Returns:
+            (6,), N and N.m in ft_sensor; or why they are not known, in words.
+
+        Raises:
+            NotImplementedError: a subclass must define it.
+
+        """
         raise NotImplementedError
 
     def values(self) -> dict[str, object]:
@@ -267,7 +341,12 @@ class JointMotion(InertialForces):
         super().__init__(parameters, arm)
 
     def set_tool(self, tool: CalibrationFile | None) -> None:
-        """Take another tool's loads and zeros of joints."""
+        """Take another tool's loads and zeros of joints.
+
+        Args:
+            tool: its calibration; None: no tool.
+
+        """
         super().set_tool(tool)
         mounting = None if tool is None else tool.mounting
         zero = [0.0] * len(self._zero) if mounting is None else mounting.joint_zero_rad.tolist()
@@ -279,7 +358,13 @@ class JointMotion(InertialForces):
         self._last = None
 
     def push_joints(self, stamp_ns: int, joints: tuple[float, ...]) -> None:
-        """Take joints (n,); with a NaN, and after a jump, the motion is unknown."""
+        """Take joints; with a NaN, and after a jump, the motion is unknown.
+
+        Args:
+            stamp_ns: their stamp.
+            joints: (n,) in the arm's order, m and rad.
+
+        """
         last, self._last = self._last, (stamp_ns, joints)
         if last is not None and self._jumps(stamp_ns - last[0], last[1], joints):
             joints = (math.nan,) * len(joints)
@@ -293,7 +378,16 @@ class JointMotion(InertialForces):
         )
 
     def reading(self, stamp_ns: int, angles: tuple[float, ...]) -> Array | str:
-        """Inertial forces (6,) at a stamp, N and N.m in ft_sensor, or why they are not known."""
+        """Return the inertial forces at a wrench's stamp.
+
+        Args:
+            stamp_ns: the wrench's.
+            angles: (k,) at that stamp, rad.
+
+        Returns:
+            (6,), N and N.m in ft_sensor; or why they are not known, in words.
+
+        """
         assert self._load is not None
         found = self._window.at(stamp_ns)
         if isinstance(found, str):
@@ -354,7 +448,15 @@ class ImuMotion(InertialForces):
         super().__init__(parameters, arm)
 
     def late(self, newest_wrench_ns: int) -> tuple[Rejection, str] | None:
-        """Why wrenches must not wait: the IMU lags, or never sent."""
+        """Return why wrenches must not wait: the IMU lags, or never sent.
+
+        Args:
+            newest_wrench_ns: the newest wrench's stamp.
+
+        Returns:
+            Reason and sentence; None: they may wait.
+
+        """
         until = self.known_until_ns
         if until is None:
             if self._first_wrench_ns is None:
@@ -378,10 +480,16 @@ class ImuMotion(InertialForces):
     def push_imu(
         self, stamp_ns: int, angular_rad_s: Sequence[float], linear_m_s2: Sequence[float]
     ) -> None:
-        """Take a reading: angular velocity (3,), specific force (3,), in the IMU's axes.
+        """Take a reading.
 
         Where its stamps jump, what came before is forgotten: one wrong stamp from the future must
         not make all that follows it too old.
+
+        Args:
+            stamp_ns: its stamp.
+            angular_rad_s: (3,) angular velocity in the IMU's axes.
+            linear_m_s2: (3,) specific force in the IMU's axes.
+
         """
         self._received += 1
         newest = self._window.newest_ns
@@ -390,7 +498,16 @@ class ImuMotion(InertialForces):
         self._window.push(stamp_ns, (*angular_rad_s, *linear_m_s2))
 
     def reading(self, stamp_ns: int, angles: tuple[float, ...]) -> Array | str:
-        """Inertial forces (6,) at a stamp, N and N.m in ft_sensor, or why they are not known."""
+        """Return the inertial forces at a wrench's stamp.
+
+        Args:
+            stamp_ns: the wrench's.
+            angles: (k,) at that stamp, rad.
+
+        Returns:
+            (6,), N and N.m in ft_sensor; or why they are not known, in words.
+
+        """
         assert self._load is not None
         found = self._window.at(stamp_ns)
         if isinstance(found, str):

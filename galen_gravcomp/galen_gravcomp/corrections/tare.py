@@ -40,7 +40,17 @@ class TareWindow:
         self._wrenches: list[Array] = []
 
     def add(self, stamp_ns: int, angles: tuple[float, ...], untared: Array) -> bool:
-        """Take angles (k,), rad, and a wrench without weight (6,); True: the window is full."""
+        """Take a sample; one that is not later than the one before is left out.
+
+        Args:
+            stamp_ns: the wrench's stamp.
+            angles: (k,) at that stamp, rad.
+            untared: (6,) wrench without weight, before tare and bias drift, N and N.m.
+
+        Returns:
+            Whether the window is full.
+
+        """
         if self._after_ns is not None and stamp_ns <= self._after_ns:
             return False
         if self._stamps and stamp_ns <= self._stamps[-1]:
@@ -133,13 +143,27 @@ class TareRamp:
         self._target = np.zeros(6)
 
     def start(self, stamp_ns: int, target: Array) -> None:
-        """Go from the active offset at `stamp_ns` to `target` (6,)."""
+        """Go from the active offset to another.
+
+        Args:
+            stamp_ns: where the ramp begins.
+            target: (6,) where it ends, N and N.m.
+
+        """
         self._start = self.offset_at(stamp_ns)
         self._target = np.array(target, dtype=float)
         self._start_ns = stamp_ns
 
     def offset_at(self, stamp_ns: int) -> Array:
-        """Offset (6,) active at a stamp; the caller must not write into it."""
+        """Return the offset active at a stamp.
+
+        Args:
+            stamp_ns: the wrench's stamp.
+
+        Returns:
+            (6,), N and N.m; the caller must not write into it.
+
+        """
         if self._start_ns is None:
             return self._target
         elapsed_ns = stamp_ns - self._start_ns
