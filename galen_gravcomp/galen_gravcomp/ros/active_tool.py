@@ -19,7 +19,20 @@ from galen_msgs.msg import ActiveTool
 
 
 def read_active(node_name: str, timeout_s: float, ros_args: Sequence[str] = ()) -> dict[str, Any]:
-    """Read what a node has active, by the fields of its latched topic. Raises GalenError."""
+    """Read what a node has active, by the fields of its latched topic.
+
+    Args:
+        node_name: the gravcomp node's.
+        timeout_s: how long to wait for the topic, s.
+        ros_args: ROS' own arguments, as of remappings.
+
+    Returns:
+        Fields of ActiveTool, with `frame` for its header and `file_state` in words.
+
+    Raises:
+        GalenError: nothing came in time.
+
+    """
     init_ros(list(ros_args))
     try:
         node = Node("tools")

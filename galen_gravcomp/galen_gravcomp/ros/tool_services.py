@@ -84,7 +84,17 @@ class ActiveToolError(GalenError):
 
 
 def error_code(response: Any, error: GalenError, otherwise: str) -> int:
-    """Return an error's code in an answer; `otherwise`: the name of any other error's."""
+    """Return an error's code in an answer.
+
+    Args:
+        response: the service's response, which has the codes as constants.
+        error: the error.
+        otherwise: name of the code of any error without one of its own.
+
+    Returns:
+        The code.
+
+    """
     name = _CODES.get(type(error), otherwise)
     if isinstance(error, ActiveToolError):
         name = error.code
@@ -123,12 +133,22 @@ class ActiveToolTopic:
         return "" if self.stored is None else self.stored.tool.tool
 
     def put(self, stored: StoredCalibration | None) -> None:
-        """Take another active tool, read just before."""
+        """Take another active tool, read just before.
+
+        Args:
+            stored: the tool and its file; None: no tool.
+
+        """
         self.stored = stored
         self._set_file_state(FileState.AS_LOADED)
 
     def rename(self, stored: StoredCalibration) -> None:
-        """Follow a new name and file of the active tool; the file's state stays."""
+        """Follow a new name and file of the active tool; the file's state stays.
+
+        Args:
+            stored: the tool under its new name.
+
+        """
         self.stored = stored
         self._compensator.rename_tool(stored.tool.tool)
         self.update()
@@ -151,7 +171,12 @@ class ActiveToolTopic:
         self._publisher.publish(self._message(bias_drift))
 
     def watch(self, now_s: float) -> None:
-        """Check the file now and then, and `update`; to be called a few times a second."""
+        """Check the file now and then, and `update`; to be called a few times a second.
+
+        Args:
+            now_s: wall time, s, monotonic.
+
+        """
         loaded = self.stored
         if loaded is not None and not self._checking and now_s - self._checked_s > _FILE_CHECK_S:
             self._checking, self._checked_s = True, now_s
@@ -236,7 +261,19 @@ class ToolServices:
         ]
 
     def read(self, name: str) -> StoredCalibration:
-        """Read a tool that is to be activated; raises ToolNameError or CalibrationFileError."""
+        """Read a tool that is to be activated.
+
+        Args:
+            name: the tool's.
+
+        Returns:
+            The tool and its file.
+
+        Raises:
+            ToolNameError: the name is not allowed.
+            CalibrationFileError: the file is missing or invalid, or is being changed.
+
+        """
         if self._changes({name}):
             raise CalibrationFileError(f"tool '{name}' is being changed: ask again")
         return self._store.read(name)
