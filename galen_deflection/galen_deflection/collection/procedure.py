@@ -208,9 +208,9 @@ class CollectionProcedure(GoalProcedure):
         """Take the answer to the last Push.
 
         Args:
-            success: whether the push was made.
-            message: the service's reason where it was not.
-            busy: a push that was asked for earlier goes on; this one is asked for again.
+            success: whether the push has begun.
+            message: the service's reason where it has not.
+            busy: another push is under way; this one is not as asked.
 
         """
         if self._waiting_for != "push_tool" or self.ending:
