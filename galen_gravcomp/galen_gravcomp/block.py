@@ -44,7 +44,15 @@ class BlockResult:
 
     @classmethod
     def empty(cls, angles: int) -> BlockResult:
-        """Make one of no wrench, of an arm with so many angles."""
+        """Make one of no wrench.
+
+        Args:
+            angles: number of the arm's angles.
+
+        Returns:
+            Arrays of length 0.
+
+        """
         none = np.zeros(0, dtype=np.int64)
         return cls(none, none, np.zeros((0, 6)), np.zeros((0, angles)))
 
@@ -56,14 +64,18 @@ def push_block(
     wrenches: Samples,
     push_run: Callable[[Arrivals], tuple[int, BlockResult]],
 ) -> BlockResult:
-    """Push samples in the order of their arrival; is_wrench (n,) tells whose the next one is.
+    """Push samples in the order of their arrival.
 
     Args:
         sink: where samples go one by one.
-        is_wrench: of both topics' samples in the order of their arrival.
+        is_wrench: (n,) bool of both topics' samples in the order of their arrival: whether the next
+            one is a wrench.
         joints: values (j, n or more) in the arm's order, m and rad.
         wrenches: values (w, 6), N and N.m.
         push_run: pushes the regular samples at the start of its argument; how many, and outputs.
+
+    Returns:
+        What became of these wrenches, and of those that had waited before.
 
     Raises:
         ValueError: the counts don't fit, before anything was pushed.

@@ -107,18 +107,36 @@ class SegmentMemory:
         self._open = False
 
     def keep(self, segments: Sequence[RestSegment]) -> None:
-        """Forget all others."""
+        """Forget all others.
+
+        Args:
+            segments: the ones that stay, oldest first.
+
+        """
         self.segments = deque(segments)
 
     def shift(self, change: Array) -> None:
-        """Subtract `change` (6,) from the means."""
+        """Move the means of all segments, as a tare moves what goes out.
+
+        Args:
+            change: (6,) to subtract, N and N.m.
+
+        """
         for segment in self.segments:
             segment.mean = segment.mean - change
             segment.recent.clear()
             segment.fitted = False
 
     def add(self, window: StillWindow) -> RestSegment:
-        """Add a window to the newest segment, or begin another; returns the segment."""
+        """Add a window to the newest segment, or begin another.
+
+        Args:
+            window: a steady one, later than all before.
+
+        Returns:
+            The segment that it belongs to.
+
+        """
         unit = np.asarray(self._arm.gravity_in_sensor(window.angles))
         unit = unit / np.linalg.norm(unit)
         segment = self.segments[-1] if self.segments and self._open else None
@@ -208,7 +226,12 @@ class CalibrationMonitor:
     # Samples
 
     def set_tool(self, tool: CalibrationFile | None) -> None:
-        """Monitor another tool; the segments are forgotten."""
+        """Monitor another tool; the segments are forgotten.
+
+        Args:
+            tool: its calibration; None: nothing is monitored.
+
+        """
         self._tool = tool
         self._evidence = None if tool is None else FitEvidence(tool, self._arm)
         self.setup.set_tool(tool)
@@ -221,7 +244,12 @@ class CalibrationMonitor:
         self._forget()
 
     def offset_changed(self, change: Array) -> None:
-        """Follow a tare: from now on `change` (6,) more is subtracted than before."""
+        """Follow a tare, or the bias drift's switch.
+
+        Args:
+            change: (6,) what is subtracted from now on more than before, N and N.m.
+
+        """
         self._windows.drop()
         self.setup.offset_changed(change)
         self._memory.shift(change)
@@ -231,7 +259,14 @@ class CalibrationMonitor:
             self._work = self._judge()
 
     def push(self, stamp_ns: int, angles: tuple[float, ...], output: Array) -> None:
-        """Take a wrench (6,) as it goes out, and the angles (k,) at its stamp."""
+        """Take a sample.
+
+        Args:
+            stamp_ns: the wrench's stamp.
+            angles: (k,) at that stamp, rad.
+            output: (6,) as it goes out when no ramp runs, in the sensor's frame, N and N.m.
+
+        """
         if self._evidence is None:
             return
         self.setup.push(stamp_ns, angles, output)

@@ -130,7 +130,15 @@ class Compensator:
         return self._ramp.ramping
 
     def set_enabled(self, enabled: bool) -> list[Result]:
-        """Switch on or off; off rejects what waits, ends a running tare, keeps its offset."""
+        """Switch on or off; off rejects what waits, ends a running tare, keeps its offset.
+
+        Args:
+            enabled: whether wrenches are compensated.
+
+        Returns:
+            The wrenches rejected.
+
+        """
         if enabled == self.enabled:
             return []
         self.enabled = enabled
@@ -143,7 +151,14 @@ class Compensator:
     ) -> list[Result]:
         """Activate a tool, or none. The tare was measured with the old one, so it is dropped.
 
-        `why_none` says why there is no tool.
+        Args:
+            tool: its calibration; None: none, and every wrench is rejected.
+            why_none: the reason without a tool, as rejections name it.
+
+        Returns:
+            The wrenches rejected: all that wait, where no tool follows or only one of both tools
+            has a cable.
+
         """
         self.cancel_tare("the tool was changed")
         self._ramp.reset()
@@ -159,16 +174,26 @@ class Compensator:
         return [*results, *self._update_bar()]
 
     def rename_tool(self, name: str) -> None:
-        """Call the active tool by another name; nothing else changes, the tare stays."""
+        """Call the active tool by another name; nothing else changes, the tare stays.
+
+        Args:
+            name: its new name.
+
+        """
         assert self.tool is not None
         self.tool = replace(self.tool, tool=name)
 
     # Tare
 
     def start_tare(self, on_done: OnTared) -> None:
-        """Average the compensated wrench from now on; `on_done` is called once.
+        """Average the compensated wrench from now on.
 
-        Raises TareRejectedError when there is nothing to tare.
+        Args:
+            on_done: called once, with the answer and the offset.
+
+        Raises:
+            TareRejectedError: there is nothing to tare, or a tare is already running.
+
         """
         if not self.enabled:
             raise TareRejectedError("not tared: compensation is switched off")
@@ -181,13 +206,23 @@ class Compensator:
         )
 
     def cancel_tare(self, why: str) -> None:
-        """End a running tare without an effect."""
+        """End a running tare without an effect.
+
+        Args:
+            why: the reason, for the tare's answer.
+
+        """
         if self._window is not None:
             window, self._window = self._window, None
             window.finish(f"not tared: {why}", None)
 
     def set_bias_drift(self, enabled: bool) -> None:
-        """Switch the bias drift's estimate on or off."""
+        """Switch the bias drift's estimate on or off.
+
+        Args:
+            enabled: whether it is learned and subtracted.
+
+        """
         before = self._settled_offset
         self.bias_drift.set_enabled(enabled)
         self._offset_changed(before)
@@ -195,10 +230,16 @@ class Compensator:
     # Samples
 
     def push_joints(self, stamp_ns: int, joints: tuple[float, ...]) -> list[Result]:
-        """Take a joint sample; returns what became of the wrenches that waited for it.
+        """Take a joint sample.
 
-        joints: the arm's (n,), m and rad, or its angles (k,) alone, which do where
-        `needs_positions` is false.
+        Args:
+            stamp_ns: its stamp.
+            joints: the arm's (n,), m and rad, or its angles (k,) alone, which do where
+                `needs_positions` is false.
+
+        Returns:
+            What became of the wrenches that waited for it.
+
         """
         if len(joints) < len(self.arm.joints) and self.needs_positions:
             unknown = np.full(len(self.arm.joints), np.nan)
@@ -216,21 +257,55 @@ class Compensator:
         frame_id: str | None = None,
         tag: object = None,
     ) -> list[Result]:
-        """Take a wrench as `WrenchPairing.push_wrench`; returns what became of those answered."""
+        """Take a wrench as `WrenchPairing.push_wrench`.
+
+        Args:
+            stamp_ns: its stamp.
+            wrench: (6,) raw, in the sensor's own axes, N and N.m.
+            frame_id: the message's; None: not checked.
+            tag: comes back with the compensated wrench.
+
+        Returns:
+            What became of it and of those that waited; empty while it waits for joints.
+
+        """
         return self._made(self.pairing.push_wrench(stamp_ns, wrench, frame_id, tag))
 
     def push_block(self, is_wrench: np.ndarray, joints: Samples, wrenches: Samples) -> BlockResult:
         """Take many samples of both topics: the same as pushing one by one, only faster.
 
-        The arguments are those of `galen_gravcomp.block.push_block`. Blocks may be of any size, and
-        end anywhere; a wrench that waits at the end comes out with a later block.
+        Blocks may be of any size, and end anywhere; a wrench that waits at the end comes out with a
+        later block.
+
+        Args:
+            is_wrench: (n,) bool of both topics' samples in the order of their arrival: whether the
+                next one is a wrench.
+            joints: values (j, n or more) in the arm's order, m and rad.
+            wrenches: values (w, 6), N and N.m.
+
+        Returns:
+            What became of these wrenches, and of those that had waited before.
+
+        Raises:
+            ValueError: the counts don't fit, before anything was pushed.
+
         """
         return push_block(self, is_wrench, joints, wrenches, self._push_run)
 
     def push_imu(
         self, stamp_ns: int, angular_rad_s: Sequence[float], linear_m_s2: Sequence[float]
     ) -> list[Result]:
-        """Take an IMU's reading (3,), (3,) in its axes; returns what became of what waited."""
+        """Take an IMU's reading.
+
+        Args:
+            stamp_ns: its stamp.
+            angular_rad_s: (3,) angular velocity in the IMU's axes.
+            linear_m_s2: (3,) specific force in the IMU's axes.
+
+        Returns:
+            What became of the wrenches that waited for it.
+
+        """
         if self.motion is not None:
             self.motion.push_imu(stamp_ns, angular_rad_s, linear_m_s2)
         return self._made(self.pairing.release())

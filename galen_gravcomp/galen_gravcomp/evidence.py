@@ -177,7 +177,15 @@ class FitEvidence:
         self._prior = Prior.of_precision(precision)
 
     def design(self, segments: Segments) -> Array:
-        """Phi (n, 6, 17) of the parameters, see above."""
+        """Return Phi of the parameters, see above.
+
+        Args:
+            segments: n segments, the newest last.
+
+        Returns:
+            (n, 6, 17), N and N.m for a unit of each parameter.
+
+        """
         gravity = self._arm.gravity_in_sensor(segments.angles) * self._scale
         hours = (segments.end_ns - int(segments.end_ns[-1])) / 3.6e12
         return np.concatenate(
@@ -190,25 +198,55 @@ class FitEvidence:
         )
 
     def variance(self, segments: Segments) -> Array:
-        """Of the noise at each segment (n, 6): sensor, the calibration's RMSE, a floor."""
+        """Return the noise's at each segment: sensor, the calibration's RMSE, a floor.
+
+        Args:
+            segments: n segments.
+
+        Returns:
+            (n, 6), N^2 and (N.m)^2.
+
+        """
         return np.asarray(segments.std**2 + self._tool.rmse**2 + _SEGMENT_FLOOR**2)
 
     def fit_of_each(self, segments: Segments) -> tuple[Array, Array]:
-        """Chi-square (n,) of 6 of each segment with a file that fits, and its log density."""
+        """Compare each segment with a file that fits.
+
+        Args:
+            segments: n segments, the newest last.
+
+        Returns:
+            Chi-square (n,) of 6 degrees of freedom, and log density (n,).
+
+        """
         known = np.linalg.inv(self._prior.precision[0])
         return self._log_density(segments, np.zeros(_COUNT), known, 0)
 
     def log_contradiction(self, segments: Segments, judgement: Judgement) -> Array:
-        """Log odds (n,) by which each segment is likelier with a file that fits than as predicted.
+        """Return how much likelier each segment is with a file that fits than as predicted.
 
-        By a judgement that these segments had no part in.
+        Args:
+            segments: n segments, the newest last.
+            judgement: the prediction; these segments had no part in it.
+
+        Returns:
+            Log odds (n,).
+
         """
         k = EXPLANATIONS.index(judgement.explanation)
         predicted = self._log_density(segments, judgement.values, judgement.covariance, k)[1]
         return np.asarray(self.fit_of_each(segments)[1] - predicted)
 
     def log_contact(self, segments: Segments) -> Array:
-        """Log density (n,) of each segment as contact, against none by prior odds."""
+        """Return the log density of each segment as contact, against none by prior odds.
+
+        Args:
+            segments: n segments.
+
+        Returns:
+            (n,).
+
+        """
         return _log_contact(segments, self.variance(segments))
 
     def _log_density(
@@ -225,14 +263,31 @@ class FitEvidence:
         return variance + _WRONG_SEGMENT**2 if unknown else variance
 
     def log_density_of(self, explanation: Cause, segments: Segments) -> float:
-        """Log density of all means together under an explanation, none of them contact."""
+        """Return the log density of all means together under an explanation, none of them contact.
+
+        Args:
+            explanation: one of `EXPLANATIONS`.
+            segments: n segments, the newest last.
+
+        Returns:
+            The logarithm of the evidence.
+
+        """
         k = EXPLANATIONS.index(explanation)
         own = self._noise(k, self.variance(segments))[None]
         information = _information(self.design(segments), own, segments.mean).total()
         return float(log_evidence(information, self._prior)[k])
 
     def log_odds_of_pull(self, segments: Segments) -> float:
-        """Log odds of a pull by the pose against hands."""
+        """Return the log odds of a pull by the pose against hands.
+
+        Args:
+            segments: n segments, oldest first.
+
+        Returns:
+            The smaller one of forces' and torques'.
+
+        """
         variance = self.variance(segments)
         means = segments.mean - np.median(segments.mean, axis=0)
         order = np.arange(len(segments))
@@ -243,7 +298,15 @@ class FitEvidence:
         return float(np.min(pulls - hands))
 
     def log_density_of_pull(self, segments: Segments) -> float:
-        """Log density of all means (n, 6) if a pull by the pose is all there is."""
+        """Return the log density of all means if a pull by the pose is all there is.
+
+        Args:
+            segments: n segments.
+
+        Returns:
+            Its logarithm, of forces and torques together.
+
+        """
         density = _log_density(segments.mean, self.variance(segments), self._by_pose(segments))
         return float(np.sum(_log_mean(density, 0)))
 
@@ -254,7 +317,18 @@ class FitEvidence:
         return np.array([np.exp(-square / (2.0 * length**2)) for length in _LENGTHS])
 
     def judge(self, segments: Segments) -> Generator[None, None, Judgement]:
-        """Find the likeliest explanation of all segments; yield between pieces of work."""
+        """Find the likeliest explanation of all segments.
+
+        Args:
+            segments: n segments, the newest last.
+
+        Returns:
+            The judgement, as the generator's value.
+
+        Yields:
+            None between pieces of work.
+
+        """
         design, variance = self.design(segments), self.variance(segments)
         kinds, count = len(EXPLANATIONS), len(segments)
         own = np.array([self._noise(k, variance) for k in range(kinds)])

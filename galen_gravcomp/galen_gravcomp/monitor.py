@@ -21,11 +21,21 @@ class Monitor(StreamMonitor):
         self._file_note = ""
 
     def set_tool_error(self, text: str) -> None:
-        """Say why the tool asked for at start is not loaded; empty when one is active."""
+        """Set why the tool asked for at start is not loaded.
+
+        Args:
+            text: the reason; empty when a tool is active.
+
+        """
         self._tool_error = text
 
     def set_file_note(self, text: str) -> None:
-        """Say what became of the file of the active tool since; empty while it is as loaded."""
+        """Set what became of the file of the active tool since.
+
+        Args:
+            text: in words; empty while it is as loaded.
+
+        """
         self._file_note = text
 
     def _standing_state(self) -> StreamState | None:
@@ -69,7 +79,15 @@ class Monitor(StreamMonitor):
         return StreamState(Severity.WARN, name, f"compensating {text}{note}")
 
     def values(self, now_s: float) -> dict[str, object]:
-        """Everything measured, for /diagnostics; units are in the names."""
+        """Everything measured, for /diagnostics; units are in the names.
+
+        Args:
+            now_s: wall time, s, monotonic.
+
+        Returns:
+            Values by key.
+
+        """
         compensator = self._compensator
         tool = compensator.tool
         offset = compensator.tare_offset

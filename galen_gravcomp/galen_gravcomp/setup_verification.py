@@ -82,7 +82,12 @@ class SetupVerification:
         self.clear()
 
     def set_tool(self, tool: CalibrationFile | None) -> None:
-        """Begin anew with another tool, and no tare."""
+        """Begin anew with another tool, and no tare.
+
+        Args:
+            tool: its calibration; None: nothing is checked.
+
+        """
         self._tool = tool
         self._offset = np.zeros(6)
         self.clear()
@@ -97,10 +102,16 @@ class SetupVerification:
         self._drop()
 
     def push(self, stamp_ns: int, angles: tuple[float, ...], output: Array) -> None:
-        """Take a wrench (6,) as it goes out, until the set-up is verified.
+        """Take a sample, until the set-up is verified.
 
         Averages of 0.3 s are enough for mistakes that are gross, long before the sensor's noise is
         learned that the calibration monitor's windows need.
+
+        Args:
+            stamp_ns: the wrench's stamp.
+            angles: (k,) at that stamp, rad.
+            output: (6,) as it goes out when no ramp runs, in the sensor's frame, N and N.m.
+
         """
         if self.verified:
             return
@@ -129,7 +140,12 @@ class SetupVerification:
         self._from_ns = 0
 
     def offset_changed(self, change: Array) -> None:
-        """Follow a tare: from now on `change` (6,) more is subtracted than before."""
+        """Follow a tare, or the bias drift's switch.
+
+        Args:
+            change: (6,) what is subtracted from now on more than before, N and N.m.
+
+        """
         self._offset = self._offset + change
 
     @property
@@ -158,7 +174,12 @@ class SetupVerification:
         return state
 
     def add(self, window: StillWindow) -> None:
-        """Take a steady window at rest, of what goes out."""
+        """Take a window at rest, of what goes out.
+
+        Args:
+            window: a steady one.
+
+        """
         tool = self._tool
         if tool is None or not self.checks:
             return

@@ -199,7 +199,15 @@ def _compare(arguments: argparse.Namespace, store: CalibrationStore) -> None:
 
 
 def comparison_to_json(comparison: CalibrationComparison) -> dict[str, Any]:
-    """Return the comparison in SI; `std_dev` and `sigmas` are None where the files hold none."""
+    """Return the comparison in SI.
+
+    Args:
+        comparison: of two calibration files.
+
+    Returns:
+        Content for JSON; `std_dev` and `sigmas` are None where the files hold none.
+
+    """
     return {
         "a": comparison.a,
         "b": comparison.b,
@@ -339,7 +347,15 @@ def _plain(value: Any) -> str:
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the command; returns the exit code."""
+    """Run the command.
+
+    Args:
+        args: the command line without the program's name; None: that of the process.
+
+    Returns:
+        The exit code.
+
+    """
     words = list(sys.argv[1:] if args is None else args)
     at = words.index("--ros-args") if "--ros-args" in words else len(words)
     parser = build_parser()
