@@ -115,7 +115,12 @@ class ManagedNode(LifecycleNode):
     # What it can use
 
     def start(self) -> None:
-        """Configure and activate, unless told not to. Raises what these raise."""
+        """Configure and activate, unless the parameter `autostart` is false.
+
+        Raises:
+            Exception: what `_configure` or `_activate` raised; the node is then destroyed.
+
+        """
         if not self._autostarts:
             self.get_logger().info(_SAYS[Stage.UNCONFIGURED])
             return
