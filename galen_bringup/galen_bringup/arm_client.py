@@ -45,7 +45,13 @@ class ArmClient(Node):
     """
 
     def __init__(self, check: Callable[[], None]) -> None:
-        """`check` is called while waiting; it raises when going on makes no sense."""
+        """Make the node, its subscriptions and clients; ROS must be initialised.
+
+        Args:
+            check: called a few times a second while waiting; it raises when going on makes no
+                sense.
+
+        """
         super().__init__("galen_demo")
         self._check = check
         self._executor = make_executor()
@@ -89,7 +95,17 @@ class ArmClient(Node):
         self._executor.shutdown()
 
     def wait_for(self, predicate: Callable[[], Any], timeout_s: float, what: str) -> None:
-        """Spin until the predicate holds; raises GalenError naming `what` after timeout_s."""
+        """Spin until a predicate holds.
+
+        Args:
+            predicate: called after every event, and twenty times a second.
+            timeout_s: how long to wait, s of wall time.
+            what: names what is waited for in the error's text.
+
+        Raises:
+            GalenError: it did not hold in time; what `check` raises comes out as well.
+
+        """
         now = time.monotonic()
         deadline, next_check = now + timeout_s, now
         while not predicate():
@@ -102,7 +118,15 @@ class ArmClient(Node):
                 raise GalenError(f"waited {timeout_s:g} s in vain for {what}")
 
     def wait_until_up(self, timeout_s: float = 30.0) -> None:
-        """Wait for the streams and services of driver and gravcomp."""
+        """Wait for the streams and services of driver and gravcomp.
+
+        Args:
+            timeout_s: for each of them, s of wall time.
+
+        Raises:
+            GalenError: naming the first that did not come in time.
+
+        """
         self.wait_for(lambda: self.position is not None, timeout_s, "joint_states")
         for client in (self._set_tool, self._zero_ft_sensor, self._set_admittance):
             self.wait_for(client.service_is_ready, timeout_s, f"the service {client.srv_name}")
@@ -112,7 +136,18 @@ class ArmClient(Node):
         )
 
     def move_to(self, target: Array) -> float:
-        """Send a smooth move from here to joints (5,), m and rad; returns its duration, s."""
+        """Send a smooth move from here, from rest to rest.
+
+        Args:
+            target: joints (5,), m and rad.
+
+        Returns:
+            The move's duration, s.
+
+        Raises:
+            GalenError: no joint state has come yet.
+
+        """
         if self.position is None:
             raise GalenError("where the arm is, is not known: no joint_states yet")
         duration_s = quintic_duration_s(target - self.position, MAX_VELOCITY, MAX_ACCELERATION)
@@ -120,7 +155,14 @@ class ArmClient(Node):
         return duration_s
 
     def follow(self, targets: Sequence[Array], times_s: Sequence[float], start_ns: int = 0) -> None:
-        """Send a trajectory through joints (5,) at rest in each; start_ns 0 means now."""
+        """Send a trajectory through joints, at rest in each.
+
+        Args:
+            targets: joints (5,) each, m and rad.
+            times_s: when the arm is there, one a target, s since the start.
+            start_ns: stamp of the start, ns; 0: at once.
+
+        """
         message = JointTrajectory(joint_names=list(GALEN.joint_names))
         fill_stamp(message.header.stamp, start_ns)
         for target, time_s in zip(targets, times_s, strict=True):
@@ -135,20 +177,45 @@ class ArmClient(Node):
         self._trajectory.publish(message)
 
     def set_tool(self, tool: str) -> SetTool.Response:
-        """Make gravcomp load a calibration file; raises GalenError with its reason."""
+        """Make gravcomp load a calibration file.
+
+        Args:
+            tool: the file's name, without folder and ending.
+
+        Returns:
+            The service's Response, of a success.
+
+        Raises:
+            GalenError: with gravcomp's reason, or for lack of an answer.
+
+        """
         response = self._call(self._set_tool, SetTool.Request(tool=tool))
         if not response.success:
             raise GalenError(f"gravcomp: {response.error_msg}")
         return response
 
     def zero_ft_sensor(self) -> None:
-        """Zero the sensor here; raises GalenError with the driver's reason."""
+        """Zero the sensor here.
+
+        Raises:
+            GalenError: with the driver's reason, or for lack of an answer.
+
+        """
         response = self._call(self._zero_ft_sensor, Trigger.Request())
         if not response.success:
             raise GalenError(f"zero_ft_sensor: {response.message}")
 
     def set_admittance(self, on: bool, source: str) -> None:
-        """Switch the driver's admittance mode; `source` is "compensated" or "raw"."""
+        """Switch the driver's admittance mode.
+
+        Args:
+            on: whether the arm follows the wrench.
+            source: of the wrench, "compensated" or "raw".
+
+        Raises:
+            GalenError: with the driver's reason, or for lack of an answer.
+
+        """
         parameter = Parameter("admittance_source", value=source)
         future = self._driver_parameters.set_parameters([parameter])
         self.wait_for(future.done, 10.0, "sim_driver to take a parameter")

@@ -70,7 +70,20 @@ NEXT = (
 
 
 def run_demo(options: argparse.Namespace, console: Console) -> dict[str, Any]:
-    """Do it all and return the result as JSON has it, SI units; raises GalenError."""
+    """Do all of the demonstration.
+
+    Args:
+        options: those of `build_parser`.
+        console: shows how it goes.
+
+    Returns:
+        The result as JSON has it, SI units: `tools` and `drift` by name, `wall_s`, and the paths of
+        `figures`.
+
+    Raises:
+        GalenError: a process ended, the calibration failed, or the arm did not get somewhere.
+
+    """
     started = time.monotonic()
     output = Path(options.output).resolve()
     figures = output / "figures"
@@ -171,7 +184,13 @@ def _live(
 
 
 def print_report(result: dict[str, Any], console: Console) -> None:
-    """Print the report's tables beside ours, and the drift."""
+    """Print the report's tables beside ours, and the drift.
+
+    Args:
+        result: as `run_demo` returns it.
+        console: where to.
+
+    """
     for number, (tool, found) in enumerate(result["tools"].items(), start=1):
         table = Table(
             title=f"{tool}: root mean square of the compensated reading at {found['poses']} "
@@ -234,6 +253,12 @@ def plot_compensation(tool: str, readings: PoseReadings, path: Path) -> None:
     """Plot the report's figures 8 and 9: each axis over the visited poses, before and after.
 
     The left axes hold both; the right ones hold the residual alone, against the noise.
+
+    Args:
+        tool: its name, for the title.
+        readings: of the poses visited with it.
+        path: picture file to write.
+
     """
     figure = Figure(figsize=(11, 12), layout="constrained")
     axes = figure.subplots(6, 2, sharex=True, width_ratios=(1.4, 1))
@@ -257,7 +282,15 @@ def plot_compensation(tool: str, readings: PoseReadings, path: Path) -> None:
 
 
 def plot_drift(tool: str, off: Drift, on: Drift, path: Path) -> None:
-    """Plot the tip's drift in admittance mode without contact, on a logarithmic scale."""
+    """Plot the tip's drift in admittance mode without contact, on a logarithmic scale.
+
+    Args:
+        tool: its name, for the title.
+        off: drift on the raw reading.
+        on: drift on the compensated wrench.
+        path: picture file to write.
+
+    """
     figure = Figure(figsize=(7, 4), layout="constrained")
     axis = figure.subplots()
     for drift, color, name in ((off, _BEFORE, "off"), (on, _AFTER, "on")):
@@ -310,7 +343,15 @@ def _on_terminate(number: int, _: Any) -> None:
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit code."""
+    """Run the command.
+
+    Args:
+        args: the command line without the command's name; None: that of the process.
+
+    Returns:
+        The exit code.
+
+    """
     options = build_parser().parse_args(args)
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, _on_terminate)

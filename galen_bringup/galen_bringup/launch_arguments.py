@@ -38,7 +38,15 @@ COMMON = {
 
 
 def declare(arguments: dict[str, tuple[Any, str]]) -> list[Any]:
-    """Make the actions that declare arguments, given default and description by name."""
+    """Make the actions that declare a launch file's arguments.
+
+    Args:
+        arguments: default, a text or a substitution, and description, by the argument's name.
+
+    Returns:
+        One action an argument.
+
+    """
     return [
         DeclareLaunchArgument(name, default_value=default, description=description)
         for name, (default, description) in arguments.items()
@@ -46,7 +54,12 @@ def declare(arguments: dict[str, tuple[Any, str]]) -> list[Any]:
 
 
 def arm_parameters() -> dict[str, Any]:
-    """Make a node's parameters of which arm it is."""
+    """Make a node's parameters of which arm it is.
+
+    Returns:
+        Substitutions of the launch arguments, with their types, by the parameter's name.
+
+    """
     return {
         parameter: ParameterValue(LaunchConfiguration(argument), value_type=kind)
         for argument, (parameter, kind, *_) in _ARM.items()
@@ -54,5 +67,13 @@ def arm_parameters() -> dict[str, Any]:
 
 
 def enclave(node: str) -> list[Any]:
-    """Make a node's ROS arguments with its enclave; it counts if ROS_SECURITY_ENABLE is true."""
+    """Make a node's ROS arguments with its enclave; it counts if ROS_SECURITY_ENABLE is true.
+
+    Args:
+        node: the enclave's name below `enclaves`, that of the node.
+
+    Returns:
+        The option, and the enclave's path as substitutions.
+
+    """
     return ["--enclave", [LaunchConfiguration("enclaves"), f"/{node}"]]

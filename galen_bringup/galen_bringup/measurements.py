@@ -64,16 +64,32 @@ class PoseReadings:
         return np.asarray(np.sqrt(np.mean(self.compensated**2, axis=0)))
 
     def noise_at(self, poses_truth: Array) -> Array:
-        """Noise (6,) that these very readings had, given the noise-free ones (n, 6).
+        """Return the noise that these very readings had.
 
-        The constant part, which the zeroing left, is not noise and comes off. A ratio to it tells
-        more than one to `noise`: what chance did to the readings is in both of its sides.
+        The constant part, which the zeroing left, is not noise and comes off. A ratio to it is more
+        certain than one to `noise`: the chance part of the readings is in both of its sides.
+
+        Args:
+            poses_truth: (n, 6) noise-free raw readings at `joints`, N and N.m.
+
+        Returns:
+            Standard deviation (6,) of the averaged raw readings, N and N.m.
+
         """
         return np.asarray(np.std(self.raw - poses_truth, axis=0, ddof=1))
 
 
 def random_poses(count: int, rng: np.random.Generator) -> Array:
-    """Joints (count, 5) spread over the workspace, in an order that keeps the way short."""
+    """Draw poses spread over the workspace, in an order that keeps the way short.
+
+    Args:
+        count: how many.
+        rng: generator of the poses.
+
+    Returns:
+        Joints (count, 5), m and rad.
+
+    """
     low = GALEN.home + [-0.02, -0.02, -0.02, -1.5, -1.0]
     high = GALEN.home + [0.02, 0.02, 0.02, 1.5, 0.9]
     poses = rng.uniform(low, high, (count, 5))
@@ -95,11 +111,26 @@ def visit(
     label: str,
     on_pose: Callable[[Array, Array], None] | None = None,
 ) -> PoseReadings:
-    """Go to each of poses (n, 5), wait until the arm stands there, average both wrenches.
+    """Go to poses, wait until the arm stands at each, average both wrenches.
 
-    After each pose ``on_pose`` is called with both averages (6,), raw and compensated.
-    A pose that was not still, or had no compensated wrench, is skipped and named. Raises GalenError
-    when the arm does not get somewhere.
+    A pose that was not still, or had no compensated wrench, is visited once more, then skipped and
+    named.
+
+    Args:
+        arm: client of the arm and its streams.
+        poses: (n, 5), m and rad.
+        average_s: length of each average, s of stamps.
+        progress: gets a task of its own.
+        label: of that task.
+        on_pose: called after each pose that is not skipped with both averages (6,), raw and
+            compensated, N and N.m.
+
+    Returns:
+        The readings at the poses that were not skipped.
+
+    Raises:
+        GalenError: the arm does not get somewhere, or no pose was still.
+
     """
     joints, raw, compensated, stds, samples, skipped = [], [], [], [], [], []
     task = progress.add_task(label, total=len(poses))
@@ -191,10 +222,22 @@ class Drift:
 
 
 def measure_drift(arm: ArmClient, tip_m: Array, progress: Progress) -> tuple[Drift, Drift]:
-    """Drift with compensation off, then on; the tool's tip (3,) in ft_sensor.
+    """Measure the drift with compensation off, then on.
 
     The sensor is left zeroed at home with the tool on, so that nothing that relies on the
     calibration's zero may follow.
+
+    Args:
+        arm: client of the arm and its streams.
+        tip_m: the tool's tip (3,) in ft_sensor, m.
+        progress: gets a task of its own.
+
+    Returns:
+        Drift on the raw reading; drift on the compensated wrench.
+
+    Raises:
+        GalenError: a run lost samples three times, or the arm does not get somewhere.
+
     """
     task = progress.add_task("admittance mode, no contact", total=3)
     # The run on the compensated wrench comes before the sensor is zeroed anew for the raw one.

@@ -133,7 +133,15 @@ class Observer(Node):
         return time.monotonic() > self._end_s
 
     def checks(self, arguments: argparse.Namespace) -> list[Check]:
-        """Judge what came so far; arguments: those of `build_parser`."""
+        """Judge what came so far.
+
+        Args:
+            arguments: those of `build_parser`.
+
+        Returns:
+            The checks of arm, topics, samples and interfaces.
+
+        """
         checks: list[Check] = []
         arm = None
         text = self.descriptions[-1] if self.descriptions else ""
@@ -250,14 +258,33 @@ _OTHER_ARM = "is it this arm's description, and topic?"
 
 
 def lack_joints(checks: Sequence[Check]) -> bool:
-    """Whether joint states came that lack the arm's joints."""
+    """Return whether joint states came that lack the arm's joints.
+
+    Args:
+        checks: as `sample_checks` returns them.
+
+    Returns:
+        True where one of them has that remedy.
+
+    """
     return any(check.remedy == _OTHER_ARM for check in checks)
 
 
 def sample_checks(
     samples: Sequence[tuple[str, int, bytes]], arm: Arm, limits: StreamParameters
 ) -> list[Check]:
-    """Check samples (topic, arrival in ns, message): what the nodes would make of them."""
+    """Check what the nodes would make of the samples.
+
+    Args:
+        samples: topic (`joint_states` or `wrench_raw`), arrival in ns of system time, and
+            serialised message of each, in the order of arrival.
+        arm: whose joints and sensor's frame they must have.
+        limits: of the samples' stamps and range.
+
+    Returns:
+        The checks of joint states, wrenches, their pairing and the load.
+
+    """
     pairing = WrenchPairing(limits, sensor_frame=arm.sensor_frame, arm=arm)
     joint_wire, wrench_wire = JointWire(arm.joint_names), WrenchWire()
     times: dict[str, list[tuple[int, int]]] = {_JOINTS: [], _WRENCH: []}
@@ -372,7 +399,17 @@ def _pairing_checks(
 
 
 def setup_check(arm: Arm, joints: Array, wrenches: Array) -> Check:
-    """Check that wrenches (n, 6), N and N.m, are those of a load, at joints (n, k), m and rad."""
+    """Check that wrenches are those of a load.
+
+    Args:
+        arm: whose sensor it is.
+        joints: (n, k) at the wrenches' stamps, m and rad, all of the arm's.
+        wrenches: (n, 6) as read, in the sensor's frame, N and N.m.
+
+    Returns:
+        The check; a NOTE where too little turned or weighed.
+
+    """
     what = "load"
     some = np.linspace(0, len(joints) - 1, min(len(joints), _MOST_SAMPLES)).astype(int)
     readings = at_angles(wrenches[some], arm.angles(joints[some]), arm)
@@ -416,7 +453,15 @@ def build_parser() -> argparse.ArgumentParser:
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the command; returns the exit code."""
+    """Run the command.
+
+    Args:
+        args: the command line without the command's name; None: that of the process.
+
+    Returns:
+        The exit code.
+
+    """
     words = list(sys.argv[1:] if args is None else args)
     at = words.index("--ros-args") if "--ros-args" in words else len(words)
     arguments = build_parser().parse_args(words[:at])

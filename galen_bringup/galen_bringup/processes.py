@@ -51,7 +51,19 @@ class ProcessError(GalenError):
 
 
 def executable_path(package: str, executable: str) -> Path:
-    """Where colcon installed an executable; raises ProcessError naming what is missing."""
+    """Return where colcon installed an executable.
+
+    Args:
+        package: its package.
+        executable: its name.
+
+    Returns:
+        The file.
+
+    Raises:
+        ProcessError: naming what is missing.
+
+    """
     try:
         path = Path(get_package_prefix(package)) / "lib" / package / executable
     except PackageNotFoundError as error:
@@ -64,7 +76,16 @@ def executable_path(package: str, executable: str) -> Path:
 def ros_arguments(
     parameters: Mapping[str, object] | None = None, remaps: Mapping[str, str] | None = None
 ) -> list[str]:
-    """Command-line arguments that set a node's parameters and remaps."""
+    """Return command-line arguments that set a node's parameters and remaps.
+
+    Args:
+        parameters: value by the parameter's name; None: none.
+        remaps: new name by the old one; None: none.
+
+    Returns:
+        `--ros-args` and what follows it; empty where there is nothing to set.
+
+    """
     arguments = []
     for name, value in (parameters or {}).items():
         text = str(value).lower() if isinstance(value, bool) else str(value)
@@ -78,7 +99,12 @@ class Processes:
     """Processes that end with this object, whatever happens; each writes its own log."""
 
     def __init__(self, log_dir: Path) -> None:
-        """Write logs to `log_dir`/<executable>.log."""
+        """Start with no process.
+
+        Args:
+            log_dir: logs go to `log_dir`/<executable>.log; `__enter__` makes it.
+
+        """
         self._log_dir = log_dir
         self._running: dict[str, subprocess.Popen[bytes]] = {}
 
@@ -97,7 +123,20 @@ class Processes:
         self.stop()
 
     def start(self, package: str, executable: str, arguments: Sequence[str] = ()) -> int:
-        """Start an executable; returns its process id."""
+        """Start an executable.
+
+        Args:
+            package: its package.
+            executable: its name, by which it is kept: one process of each.
+            arguments: of its command line.
+
+        Returns:
+            The process id.
+
+        Raises:
+            ProcessError: the executable is missing.
+
+        """
         path = executable_path(package, executable)
         # A signal between a process' start and its entry in the list would leave it behind.
         with (self._log_dir / f"{executable}.log").open("wb") as log, _signals_later():
@@ -113,7 +152,12 @@ class Processes:
         return process.pid
 
     def check(self) -> None:
-        """Raise ProcessError, with the end of its log, when one has ended by itself."""
+        """Check that no process has ended by itself.
+
+        Raises:
+            ProcessError: one has; with the last lines of its log.
+
+        """
         for name, process in self._running.items():
             if process.poll() is not None:
                 log = self._log_dir / f"{name}.log"
@@ -176,7 +220,18 @@ def ros_world() -> Iterator[None]:
 
 
 def start_suite(processes: Processes, tools_dir: Path, speed: float, seed: int) -> None:
-    """Start driver, compensation and calibration; returns when they are up."""
+    """Start driver, compensation and calibration; returns when they are up.
+
+    Args:
+        processes: that they become part of.
+        tools_dir: folder of the calibration files.
+        speed: simulated over wall time.
+        seed: of the simulated noise.
+
+    Raises:
+        GalenError: an executable is missing, a process ended, or one was not up in time.
+
+    """
     processes.start(
         "galen_sim_driver",
         "sim_driver_node",
@@ -199,7 +254,17 @@ def start_suite(processes: Processes, tools_dir: Path, speed: float, seed: int) 
 def calibrate(processes: Processes, tool: str, arguments: Sequence[str] = ()) -> dict[str, Any]:
     """Run the client that a user runs; its progress goes to standard error.
 
-    Raises ProcessError when it fails.
+    Args:
+        processes: with the suite's nodes.
+        tool: name of a simulated tool, whose tip is given to the client.
+        arguments: further ones of the client.
+
+    Returns:
+        The client's JSON: the action's result by the field's name, SI units.
+
+    Raises:
+        ProcessError: the client failed, or a process ended.
+
     """
     tip = [repr(float(value)) for value in TOOLS[tool].tip_m]
     client = executable_path("galen_calibration_behavior", "calibrate")
@@ -216,7 +281,18 @@ def calibrate(processes: Processes, tool: str, arguments: Sequence[str] = ()) ->
 
 @contextmanager
 def connected_arm(processes: Processes) -> Iterator[ArmClient]:
-    """Give a client of the arm only while it is used: unread queues would hold old samples."""
+    """Give a client of the arm only while it is used: unread queues would hold old samples.
+
+    Args:
+        processes: checked while the client waits.
+
+    Yields:
+        The client, once driver and gravcomp are up.
+
+    Raises:
+        GalenError: they were not up in time, or a process ended.
+
+    """
     arm = ArmClient(processes.check)
     try:
         arm.wait_until_up()

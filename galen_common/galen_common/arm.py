@@ -48,7 +48,13 @@ class ArmParameters:
     )
 
     def validate(self) -> None:
-        """Check what no single range can; raises ParameterError."""
+        """Check what no single range can.
+
+        Raises:
+            ParameterError: gravity is no vector of three within the range, two sources of the arm
+                are given, or the sensor's frame has no name.
+
+        """
         lowest, highest = GRAVITY_RANGE_M_S2
         size = np.linalg.norm(self.gravity_m_s2)
         if len(self.gravity_m_s2) != 3 or not lowest <= size <= highest:
@@ -66,7 +72,16 @@ class ArmParameters:
     def arm(self, description: str = "") -> Arm:
         """Return the arm of the file, else of a description's text, else the Galen.
 
-        Raises GalenError that names file or topic, and what is wrong.
+        Args:
+            description: URDF as text, such as the topic `robot_description` brings; unused where
+                `urdf_file` is set; empty: none.
+
+        Returns:
+            The arm, with this base frame, sensor frame and gravity (3,), m/s^2.
+
+        Raises:
+            GalenError: naming file or topic, and what is wrong.
+
         """
         source, text = "robot_description", description
         if self.urdf_file:
@@ -101,7 +116,16 @@ class ArmParameters:
 def names_of_joints(given: Sequence[str], arm: Arm) -> tuple[str, ...]:
     """Return the joints' names in `joint_states`: those given, or else the arm's own.
 
-    Raises ParameterError where others than one for each joint are given.
+    Args:
+        given: the parameter or option `joint_names`; empty: the arm's own names.
+        arm: its n joints give order and number.
+
+    Returns:
+        n names, in the order of the arm's joints.
+
+    Raises:
+        ParameterError: the number of names is not n, or one occurs twice.
+
     """
     names, count = tuple(given) or arm.joint_names, len(arm.joints)
     if len(names) != count or len(set(names)) != count:
@@ -113,7 +137,15 @@ def names_of_joints(given: Sequence[str], arm: Arm) -> tuple[str, ...]:
 
 
 def other_arm(arm: Arm) -> str:
-    """Return the remedy for joint states that lack an arm's joints, to end a sentence."""
+    """Return the remedy for joint states that lack an arm's joints, to end a sentence.
+
+    Args:
+        arm: that is configured now; it is named in the text.
+
+    Returns:
+        The remedy, which starts with "; ".
+
+    """
     return (
         f"; for another arm than '{arm.name}' set use_robot_description or urdf_file, for other"
         " names of its joints joint_names where there is that parameter"
@@ -121,7 +153,12 @@ def other_arm(arm: Arm) -> str:
 
 
 def add_arm(parser: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:
-    """Add `--urdf`, `--base-frame`, `--sensor-frame` and `--gravity`, for `chosen_arm`."""
+    """Add `--urdf`, `--base-frame`, `--sensor-frame` and `--gravity`, for `chosen_arm`.
+
+    Args:
+        parser: that gets the group "arm".
+
+    """
     group = parser.add_argument_group("arm", "the Galen, unless a description is given")
     for option, metavar, count, text in (
         ("--urdf", "FILE", None, "robot description (URDF) of the arm"),
@@ -134,7 +171,18 @@ def add_arm(parser: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:
 
 
 def arm_parameters(arguments: argparse.Namespace) -> ArmParameters:
-    """Return what the options of `add_arm` say; raises ParameterError."""
+    """Return the arm's parameters from the options of `add_arm`.
+
+    Args:
+        arguments: parsed; an option that is None or empty has the parameter's default.
+
+    Returns:
+        Validated parameters.
+
+    Raises:
+        ParameterError: as `ArmParameters.validate` does.
+
+    """
     given = {
         "urdf_file": arguments.urdf,
         "base_frame": arguments.base_frame,
@@ -147,8 +195,18 @@ def arm_parameters(arguments: argparse.Namespace) -> ArmParameters:
 
 
 def chosen_arm(arguments: argparse.Namespace, description: str = "") -> Arm:
-    """Return the arm of the options of `add_arm`; `description`: text where no file is given.
+    """Return the arm of the options of `add_arm`.
 
-    Raises GalenError that names the file or the option.
+    Args:
+        arguments: parsed.
+        description: URDF as text, such as a recording holds, for where no file is given; empty: the
+            Galen.
+
+    Returns:
+        The arm, with the options' frames and gravity.
+
+    Raises:
+        GalenError: naming the file or the option.
+
     """
     return arm_parameters(arguments).arm(description)

@@ -57,7 +57,15 @@ class Layout:
     counts: tuple[int, ...]
 
     def fits(self, data: bytes) -> bool:
-        """Return whether `data` has this layout."""
+        """Return whether a message has this layout.
+
+        Args:
+            data: the whole serialised message, encapsulation included.
+
+        Returns:
+            True where its length and all bytes of the `fixed` runs are the same.
+
+        """
         if len(data) != self.length:
             return False
         for run, expected in self.fixed:  # noqa: SIM110  a generator takes twice as long
@@ -77,15 +85,32 @@ class Layout:
         return tuple(struct.Struct(f"{self.order}{count}d") for count in self.counts)
 
     def stamp_ns(self, data: bytes) -> int:
-        """Return the stamp of a message that fits, ns."""
+        """Return the stamp of a message.
+
+        Args:
+            data: a serialised message that fits; this is not checked again.
+
+        Returns:
+            The header's stamp, ns.
+
+        """
         sec, nanosec = self.stamp.unpack_from(data, STAMP_AT)
         return int(sec) * NS_PER_S + int(nanosec)
 
 
 def stamped_layout(data: bytes, doubles: int) -> Layout:
-    """Find the layout of a header followed by `doubles`: WrenchStamped (6), PoseStamped (7).
+    """Find the layout of a header followed by doubles: WrenchStamped (6), PoseStamped (7).
 
-    Raises UnreadableError.
+    Args:
+        data: the whole serialised message.
+        doubles: how many doubles follow the header, in one run.
+
+    Returns:
+        The layout of this message and of those like it; no `names`.
+
+    Raises:
+        UnreadableError: the bytes are no such message.
+
     """
     walk = _Walk(data)
     frame_id = walk.string()
@@ -93,9 +118,18 @@ def stamped_layout(data: bytes, doubles: int) -> Layout:
 
 
 def joint_state_layout(data: bytes) -> Layout:
-    """Find the layout of a sensor_msgs/JointState: runs of positions, velocities, efforts.
+    """Find the layout of a sensor_msgs/JointState.
 
-    Raises UnreadableError.
+    Args:
+        data: the whole serialised message.
+
+    Returns:
+        The layout, with three runs of doubles: positions, velocities, efforts. Their numbers may
+        differ from the number of names, which `check_joint_counts` checks.
+
+    Raises:
+        UnreadableError: the bytes are no such message.
+
     """
     walk = _Walk(data)
     frame_id = walk.string()
@@ -108,7 +142,18 @@ def joint_state_layout(data: bytes) -> Layout:
 
 
 def joint_positions(data: bytes) -> dict[str, float]:
-    """Return the positions of a serialised JointState by name; raises UnreadableError."""
+    """Return the positions of a serialised JointState by name.
+
+    Args:
+        data: the whole serialised message.
+
+    Returns:
+        Position by the joint's name, m or rad; names without a position are left out.
+
+    Raises:
+        UnreadableError: the bytes are no such message.
+
+    """
     layout = joint_state_layout(data)
     positions = layout.doubles[0].unpack_from(data, layout.doubles_at[0])
     return dict(zip(layout.names, positions, strict=False))
@@ -178,7 +223,19 @@ def _aligned(at: int, size: int) -> int:
 
 
 def joint_indices(wanted: Sequence[str], names: Sequence[str]) -> tuple[int, ...]:
-    """Return each wanted joint's place among `names`; raises JointStateError."""
+    """Return each wanted joint's place among the names of a joint state.
+
+    Args:
+        wanted: names of joints that must be there.
+        names: of the joint state, in its order.
+
+    Returns:
+        The places, from 0, in the order of `wanted`.
+
+    Raises:
+        JointStateError: naming the joints that are lacking.
+
+    """
     missing = [name for name in wanted if name not in names]
     if missing:
         raise JointStateError(
@@ -188,7 +245,17 @@ def joint_indices(wanted: Sequence[str], names: Sequence[str]) -> tuple[int, ...
 
 
 def check_joint_counts(names: int, positions: int, velocities: int) -> None:
-    """Raise JointStateError unless every name has a position, and all or none a velocity."""
+    """Check that every name of a joint state has a position, and all or none a velocity.
+
+    Args:
+        names: number of names.
+        positions: number of positions.
+        velocities: number of velocities; 0 where the message has none.
+
+    Raises:
+        JointStateError: a number differs.
+
+    """
     if positions != names:
         raise JointStateError(f"joint state has {names} names but {positions} positions")
     if velocities not in (0, names):
@@ -215,7 +282,13 @@ class RawWrench:
     __slots__ = ("_data", "_layout", "frame_id", "stamp_ns", "wrench")
 
     def __init__(self, data: bytes, layout: Layout) -> None:
-        """Take `data`: a message that fits `layout`."""
+        """Read stamp, frame and wrench of a message.
+
+        Args:
+            data: a serialised WrenchStamped that fits `layout`.
+            layout: with one run of six doubles.
+
+        """
         self._data = data
         self._layout = layout
         self.stamp_ns = layout.stamp_ns(data)
@@ -223,7 +296,15 @@ class RawWrench:
         self.wrench: tuple[float, ...] = layout.doubles[0].unpack_from(data, layout.doubles_at[0])
 
     def with_wrench(self, wrench: Array) -> bytes:
-        """Return the same message, serialised, with another wrench (6,); every other byte stays."""
+        """Return the same message, serialised, with another wrench; every other byte stays.
+
+        Args:
+            wrench: (6,), N and N.m, in the message's frame.
+
+        Returns:
+            The serialised WrenchStamped, as long as the received one.
+
+        """
         out = bytearray(self._data)
         layout = self._layout
         layout.doubles[0].pack_into(out, layout.doubles_at[0], *wrench.tolist())
@@ -237,7 +318,18 @@ class WrenchWire:
         self._layout: Layout | None = None
 
     def read(self, data: bytes) -> RawWrench:
-        """Return stamp, frame and wrench of a message; raises UnreadableError."""
+        """Read a message; its layout is worked out anew only where it differs from the last one's.
+
+        Args:
+            data: a serialised geometry_msgs/WrenchStamped.
+
+        Returns:
+            Stamp, frame and wrench.
+
+        Raises:
+            UnreadableError: the bytes are no such message.
+
+        """
         layout = self._layout
         if layout is None or not layout.fits(data):
             layout = self._layout = _learn_stamped(data, "geometry_msgs/msg/WrenchStamped", 6)
@@ -257,7 +349,19 @@ class ImuWire:
         self._layout: Layout | None = None
 
     def read(self, data: bytes) -> tuple[int, tuple[float, ...], tuple[float, ...]]:
-        """Return stamp (ns), angular velocity (3,), acceleration (3,); raises UnreadableError."""
+        """Read a message; its layout is worked out anew only where it differs from the last one's.
+
+        Args:
+            data: a serialised sensor_msgs/Imu.
+
+        Returns:
+            Stamp, ns; angular velocity (3,), rad/s; linear acceleration (3,), m/s^2; both in the
+            message's frame.
+
+        Raises:
+            UnreadableError: the bytes are no such message.
+
+        """
         layout = self._layout
         if layout is None or not layout.fits(data):
             layout = self._layout = _learn_stamped(data, "sensor_msgs/msg/Imu", self._DOUBLES)
@@ -276,13 +380,30 @@ class JointWire:
     """Reads wanted joints from serialised sensor_msgs/JointState, in any order, among others."""
 
     def __init__(self, joint_names: Sequence[str]) -> None:
-        """`joint_names`: at least one, in the order in which `read` gives them."""
+        """Read these joints.
+
+        Args:
+            joint_names: at least one, in the order in which `read` gives them.
+
+        """
         self._names = tuple(joint_names)
         self._layout: Layout | None = None
         self._pick = _picker(range(len(self._names)))
 
     def read(self, data: bytes) -> tuple[int, tuple[float, ...]]:
-        """Return stamp (ns) and positions; raises JointStateError, UnreadableError."""
+        """Read stamp and positions of the wanted joints.
+
+        Args:
+            data: a serialised sensor_msgs/JointState.
+
+        Returns:
+            Stamp, ns; positions, m or rad, in the order of the wanted names.
+
+        Raises:
+            JointStateError: a joint is lacking, or the lists' lengths don't fit.
+            UnreadableError: the bytes are no such message.
+
+        """
         layout = self._layout
         if layout is None or not layout.fits(data):
             layout = self._layout = self._learn(data)
@@ -290,7 +411,20 @@ class JointWire:
         return layout.stamp_ns(data), self._pick(positions)
 
     def read_motion(self, data: bytes) -> tuple[int, tuple[float, ...], tuple[float, ...] | None]:
-        """Return as `read`, and velocities; None where the message has none."""
+        """Read stamp, positions and velocities of the wanted joints.
+
+        Args:
+            data: a serialised sensor_msgs/JointState.
+
+        Returns:
+            Stamp, ns; positions, m or rad; velocities, m/s or rad/s, or None where the message has
+            none.
+
+        Raises:
+            JointStateError: a joint is lacking, or the lists' lengths don't fit.
+            UnreadableError: the bytes are no such message.
+
+        """
         stamp_ns, positions = self.read(data)
         layout = self._layout
         assert layout is not None
@@ -318,7 +452,13 @@ class MessageBytes:
     """A little-endian message with a header, whose stamp and runs of numbers are written over."""
 
     def __init__(self, frame_id: str, *doubles: int) -> None:
-        """`doubles`: how many of them each run has that follows the header."""
+        """Lay out a message whose numbers are all zero.
+
+        Args:
+            frame_id: of its header.
+            *doubles: how many doubles each run has, of those that follow the header.
+
+        """
         self._data = bytearray(b"\x00\x01\x00\x00" + bytes(8))
         self._runs: list[tuple[struct.Struct, int]] = []
         self._add_string(frame_id)
@@ -326,7 +466,20 @@ class MessageBytes:
             self._add_doubles(count)
 
     def fill(self, stamp_ns: int, *runs: Sequence[float]) -> bytes:
-        """Return the message's bytes; a run of another length is a struct.error."""
+        """Write stamp and numbers into the message.
+
+        Args:
+            stamp_ns: the header's stamp, ns.
+            *runs: the values of each run, in the message's order, as many as it was laid out for.
+
+        Returns:
+            A copy of the serialised message.
+
+        Raises:
+            struct.error: a run has another length.
+            ValueError: the number of runs is another one.
+
+        """
         struct.pack_into("<iI", self._data, STAMP_AT, *divmod(stamp_ns, NS_PER_S))
         for (layout, start), values in zip(self._runs, runs, strict=True):
             layout.pack_into(self._data, start, *values)
@@ -355,19 +508,41 @@ class MessageBytes:
 
 
 def wrench_bytes(frame_id: str) -> MessageBytes:
-    """Make geometry_msgs/WrenchStamped; fill: wrench (6,), force then torque, N and N.m."""
+    """Make a geometry_msgs/WrenchStamped.
+
+    Args:
+        frame_id: frame that the wrench is written in.
+
+    Returns:
+        The message; its `fill` takes a wrench (6,), force then torque, N and N.m.
+
+    """
     return MessageBytes(frame_id, 6)
 
 
 def pose_bytes(frame_id: str) -> MessageBytes:
-    """Make geometry_msgs/PoseStamped; fill: position (3,), m, and quaternion (4,), xyzw."""
+    """Make a geometry_msgs/PoseStamped.
+
+    Args:
+        frame_id: frame that the pose is relative to.
+
+    Returns:
+        The message; its `fill` takes position (3,), m, and quaternion (4,), xyzw.
+
+    """
     return MessageBytes(frame_id, 3, 4)
 
 
 def deflection_bytes(frame_id: str) -> MessageBytes:
-    """Make galen_msgs/DeflectionStamped; fill: translation and rotation, covariance, flag.
+    """Make a galen_msgs/DeflectionStamped.
 
-    (6,) m and rad; (36,); (1,) whether it is extrapolated.
+    Args:
+        frame_id: frame that the deflection is written in.
+
+    Returns:
+        The message; its `fill` takes translation and rotation (6,), m and rad; their covariance
+        (36,), row by row; and (1,) whether it is extrapolated.
+
     """
     made = MessageBytes(frame_id, 6, 36)
     made._add_bool()
@@ -375,7 +550,16 @@ def deflection_bytes(frame_id: str) -> MessageBytes:
 
 
 def joint_state_bytes(joint_names: Sequence[str], frame_id: str = "") -> MessageBytes:
-    """Make sensor_msgs/JointState without efforts; fill: positions (n,), velocities (n,)."""
+    """Make a sensor_msgs/JointState without efforts.
+
+    Args:
+        joint_names: n names.
+        frame_id: of the header; drivers leave it empty.
+
+    Returns:
+        The message; its `fill` takes positions (n,), m or rad, and velocities (n,), m/s or rad/s.
+
+    """
     made = MessageBytes(frame_id)
     count = len(joint_names)
     made._add_count(count)

@@ -59,6 +59,9 @@ def make_parser(
         codes: meanings of the command's own exit codes.
         usage: instead of argparse's.
 
+    Returns:
+        The parser, still without options.
+
     """
     meanings = {EXIT_OK: ok, EXIT_FAILED: failed, EXIT_USAGE: "wrong arguments"}
     meanings |= {**(codes or {}), EXIT_INTERRUPTED: interrupted}
@@ -73,7 +76,14 @@ def make_parser(
 
 
 def add_bags(options: _Options, what: str = "recording", nargs: str = "+") -> None:
-    """Add the positional argument `bags`: bags, or folders that are searched for them."""
+    """Add the positional argument `bags`: bags, or folders that are searched for them.
+
+    Args:
+        options: parser, or a group of its options.
+        what: what the bags are, for the help's text.
+        nargs: argparse's number of arguments.
+
+    """
     options.add_argument(
         "bags",
         nargs=nargs,
@@ -84,22 +94,50 @@ def add_bags(options: _Options, what: str = "recording", nargs: str = "+") -> No
 
 
 def add_tool_file(options: _Options, what: str = "the tool's calibration file") -> Any:
-    """Add `--tool`; returns the option."""
+    """Add `--tool FILE`, a Path or None.
+
+    Args:
+        options: parser, or a group of its options.
+        what: the help's text.
+
+    Returns:
+        The option, as `add_argument` gives it.
+
+    """
     return options.add_argument("--tool", type=Path, metavar="FILE", help=what)
 
 
 def add_json(options: _Options, what: str = "print the result as one JSON object") -> None:
-    """Add `--json`."""
+    """Add the flag `--json`.
+
+    Args:
+        options: parser, or a group of its options.
+        what: the help's text.
+
+    """
     options.add_argument("--json", action="store_true", help=what)
 
 
 def add_plots(options: _Options) -> None:
-    """Add `--plots DIR`; `check_folder` checks it before the work."""
+    """Add `--plots DIR`; `check_folder` checks it before the work.
+
+    Args:
+        options: parser, or a group of its options.
+
+    """
     options.add_argument("--plots", type=Path, metavar="DIR", help="write pictures to DIR")
 
 
 def add_topic(options: _Options, option: str, default: str, what: str) -> None:
-    """Add the name of a topic in a recording."""
+    """Add the name of a topic in a recording.
+
+    Args:
+        options: parser, or a group of its options.
+        option: the option's name, such as `--joint-states`.
+        default: the topic's name without a namespace.
+        what: what is on the topic, for the help's text.
+
+    """
     options.add_argument(
         option,
         default=default,
@@ -109,7 +147,12 @@ def add_topic(options: _Options, option: str, default: str, what: str) -> None:
 
 
 def add_table_columns(options: _Options) -> None:
-    """Add `--columns` and `--no-setup-check` of a table of readings, and `--wrench-frame`."""
+    """Add `--columns` and `--no-setup-check` of a table of readings, and `--wrench-frame`.
+
+    Args:
+        options: parser, or a group of its options.
+
+    """
     options.add_argument(
         "--columns",
         metavar="NAMES",
@@ -120,7 +163,12 @@ def add_table_columns(options: _Options) -> None:
 
 
 def add_no_setup_check(options: _Options) -> None:
-    """Add `--no-setup-check`."""
+    """Add the flag `--no-setup-check`.
+
+    Args:
+        options: parser, or a group of its options.
+
+    """
     options.add_argument(
         "--no-setup-check",
         action="store_true",
@@ -129,7 +177,12 @@ def add_no_setup_check(options: _Options) -> None:
 
 
 def add_wrench_frame(options: _Options) -> None:
-    """Add `--wrench-frame` of a table or a bag."""
+    """Add `--wrench-frame` of a table or a bag: "sensor" or "base".
+
+    Args:
+        options: parser, or a group of its options.
+
+    """
     options.add_argument(
         "--wrench-frame",
         choices=("sensor", "base"),
@@ -140,7 +193,12 @@ def add_wrench_frame(options: _Options) -> None:
 
 
 def add_arm_topics(options: _Options) -> None:
-    """Add `--joint-states`, `--wrench-raw`, `--joint-names` and `--log-times` of a bag."""
+    """Add `--joint-states`, `--wrench-raw`, `--joint-names` and `--log-times` of a bag.
+
+    Args:
+        options: parser, or a group of its options.
+
+    """
     add_topic(options, "--joint-states", "joint_states", "the joint states")
     add_topic(options, "--wrench-raw", "wrench_raw", "the raw wrench")
     options.add_argument(
@@ -157,7 +215,12 @@ def add_arm_topics(options: _Options) -> None:
 
 
 def add_workers(options: _Options) -> None:
-    """Add `--workers N` and `--scheduler ADDRESS`, for galen_bags.many (None: not given)."""
+    """Add `--workers N` and `--scheduler ADDRESS`, for galen_bags.many (None: not given).
+
+    Args:
+        options: parser, or a group of its options; the two exclude each other.
+
+    """
     group = options.add_mutually_exclusive_group()
     group.add_argument(
         "--workers", type=whole(1), metavar="N", help="local processes (default: one a processor)"
@@ -174,6 +237,13 @@ def own_arguments(arguments: Sequence[str]) -> list[str]:
     """Return a command's arguments without those between each `--ros-args` and `--`, or the end.
 
     rclpy's `remove_ros_args` also drops what only looks like a ROS argument, such as OLD:=NEW.
+
+    Args:
+        arguments: of the command line.
+
+    Returns:
+        The command's own ones, in their order.
+
     """
     own: list[str] = []
     to_ros = False
@@ -186,7 +256,18 @@ def own_arguments(arguments: Sequence[str]) -> list[str]:
 
 
 def positive(text: str) -> float:
-    """Read a finite number above zero, for argparse."""
+    """Read a finite number above zero, for argparse.
+
+    Args:
+        text: as typed.
+
+    Returns:
+        The number.
+
+    Raises:
+        argparse.ArgumentTypeError: it is no such number.
+
+    """
     value = finite(text)
     if value <= 0.0:
         raise argparse.ArgumentTypeError(f"{text} is not above 0")
@@ -194,7 +275,18 @@ def positive(text: str) -> float:
 
 
 def not_negative(text: str) -> float:
-    """Read a finite number, zero or above, for argparse."""
+    """Read a finite number, zero or above, for argparse.
+
+    Args:
+        text: as typed.
+
+    Returns:
+        The number.
+
+    Raises:
+        argparse.ArgumentTypeError: it is no such number.
+
+    """
     value = finite(text)
     if value < 0.0:
         raise argparse.ArgumentTypeError(f"{text} is below 0")
@@ -202,7 +294,16 @@ def not_negative(text: str) -> float:
 
 
 def whole(least: int, most: int | None = None) -> Callable[[str], int]:
-    """Make a reader of whole numbers of at least `least`, at most `most`, for argparse."""
+    """Make a reader of whole numbers, for argparse.
+
+    Args:
+        least: smallest number accepted.
+        most: largest number accepted; None: no limit.
+
+    Returns:
+        The reader, which raises argparse.ArgumentTypeError for anything else.
+
+    """
 
     def read(text: str) -> int:
         try:
@@ -219,7 +320,18 @@ def whole(least: int, most: int | None = None) -> Callable[[str], int]:
 
 
 def finite(text: str) -> float:
-    """Read a finite number, for argparse."""
+    """Read a finite number, for argparse.
+
+    Args:
+        text: as typed.
+
+    Returns:
+        The number.
+
+    Raises:
+        argparse.ArgumentTypeError: it is no such number.
+
+    """
     try:
         value = float(text)
     except ValueError:
@@ -233,21 +345,42 @@ def finite(text: str) -> float:
 
 
 def check_folder(folder: Path | None) -> None:
-    """Raise GalenError before the work if no file can be written into the folder.
+    """Check before the work that files can be written into a folder.
 
-    The folder, and those above it, need not exist yet.
+    Args:
+        folder: it, and those above it, need not exist yet; None: nothing is checked.
+
+    Raises:
+        GalenError: no file can be written there.
+
     """
     if folder is not None:
         _check_writable(folder, folder)
 
 
 def check_parent(path: Path) -> None:
-    """Raise GalenError before the work if nothing of this name can be made."""
+    """Check before the work that something of this name can be made.
+
+    Args:
+        path: file or folder to make; the folders above it need not exist yet.
+
+    Raises:
+        GalenError: nothing can be written into its folder.
+
+    """
     _check_writable(path.parent, path)
 
 
 def check_file(path: Path | None) -> None:
-    """Raise GalenError before the work if the file can't be written."""
+    """Check before the work that a file can be written.
+
+    Args:
+        path: file to write; None: nothing is checked.
+
+    Raises:
+        GalenError: it can't be written, or is a directory.
+
+    """
     if path is None:
         return
     with writing(path):
@@ -259,7 +392,18 @@ def check_file(path: Path | None) -> None:
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Raise GalenError that names the file or folder where writing it fails."""
+    """Turn a failure of writing into a GalenError that names the file or folder.
+
+    Args:
+        path: named in the error's text.
+
+    Yields:
+        Nothing; the body does the writing.
+
+    Raises:
+        GalenError: the body raised an OSError.
+
+    """
     try:
         yield
     except OSError as error:
@@ -298,8 +442,11 @@ def render_page(template: Path, pictures: Mapping[str, bytes], **content: Any) -
     Args:
         template: extends `page.html`.
         pictures: PNG by name.
-        content: `title`, `sentence`, `verdict`, `good`, `captions` (by picture) and what the
+        **content: `title`, `sentence`, `verdict`, `good`, `captions` (by picture) and what the
             template shows.
+
+    Returns:
+        The page's HTML.
 
     """
     from jinja2 import Environment, FileSystemLoader  # slow to import
@@ -320,21 +467,45 @@ def render_page(template: Path, pictures: Mapping[str, bytes], **content: Any) -
 
 
 def terminal(width: int = 120) -> Console:
-    """Return a console on standard output, `width` columns wide where that is no terminal."""
+    """Return a console on standard output.
+
+    Args:
+        width: columns where standard output is no terminal; a terminal has its own width.
+
+    Returns:
+        A console that doesn't colour numbers and names by itself.
+
+    """
     from rich.console import Console  # slow to import, and `--json` needs none
 
     return Console(width=None if sys.stdout.isatty() else width, highlight=False)
 
 
 def print_json(content: object) -> None:
-    """Print JSON to standard output."""
+    """Print JSON to standard output.
+
+    Args:
+        content: what `json.dumps` takes.
+
+    """
     print(json.dumps(content, indent=2))
 
 
 def progress(
     total: int | None = None, unit: str = "it", text: str = "", *, quiet: bool = False
 ) -> tqdm:
-    """Return a progress bar on standard error; it draws nothing where that is no terminal."""
+    """Return a progress bar on standard error; it draws nothing where that is no terminal.
+
+    Args:
+        total: how many there are; None: not known, and only a count is shown.
+        unit: name of what is counted.
+        text: stands before the bar; empty: nothing.
+        quiet: whether to draw nothing, as with `--json`.
+
+    Returns:
+        The bar, to be closed by its user.
+
+    """
     return tqdm(
         total=total,
         unit=unit,
@@ -368,7 +539,14 @@ class ProgressLine:
     def show(
         self, text: str | Callable[[], str], done: float = 0.0, total: float | None = None
     ) -> None:
-        """Write the line again, at most five times a second; a share never gets smaller."""
+        """Write the line again, at most five times a second; a share never gets smaller.
+
+        Args:
+            text: what goes on, or a function that makes the text, called only where it is shown.
+            done: how much is done, in the unit of `total`.
+            total: how much there is; None: text alone. The first call decides the line's form.
+
+        """
         now_s = time.monotonic()
         finished = total is not None and done >= total
         if not self.active or (now_s - self._shown_s < _SHOW_PERIOD_S and not finished):
@@ -388,7 +566,12 @@ class ProgressLine:
         self._bar.refresh()
 
     def line(self, text: str) -> None:
-        """Print a line above, also where there is no terminal."""
+        """Print a line above, also where there is no terminal.
+
+        Args:
+            text: the line, without a newline.
+
+        """
         tqdm.write(text, file=sys.stderr)
         sys.stderr.flush()
 
@@ -408,7 +591,18 @@ def _size() -> dict[str, int]:
 
 
 def run_command(name: str, work: Callable[[], int], if_interrupted: str = "") -> int:
-    """Do a command's work; returns the exit code, and prints one line for what failed."""
+    """Do a command's work, and print one line on standard error for what failed.
+
+    Args:
+        name: the command's name, which begins the line.
+        work: does it; returns the exit code.
+        if_interrupted: what an interruption leaves, to end the line, such as "; no bag is written".
+
+    Returns:
+        The exit code: that of `work`, EXIT_FAILED after a GalenError, EXIT_INTERRUPTED after
+        Ctrl-C.
+
+    """
     try:
         return work()
     except GalenError as error:

@@ -83,7 +83,12 @@ class Executable:
         self.module = module
 
     def __call__(self) -> object:
-        """Run the executable; returns its exit code."""
+        """Run the executable.
+
+        Returns:
+            What its `main` returns, its exit code; EXIT_INTERRUPTED after Ctrl-C.
+
+        """
         _interrupts.take()
         # Before numpy is imported: for matrices as small as the suite's, waking threads costs more
         # than they bring, and on a busy machine ten times as much.

@@ -32,7 +32,13 @@ _EXTRAS = {
 
 
 def main() -> object:
-    """Run the command that the first argument names; returns its exit code."""
+    """Run the command that the first argument names.
+
+    Returns:
+        Its exit code; 2 where there is no such command, 1 where a package that it needs is not
+        installed.
+
+    """
     names = sys.argv[1:2]
     if not names or names[0] not in COMMANDS:
         wanted = names and names[0] in ("-h", "--help")

@@ -60,9 +60,17 @@ def param(
 ) -> Any:
     """Return a dataclass field that is also a node parameter.
 
-    `minimum` and `maximum` are inclusive, and hold for every element of a list. Name the unit in
-    the field's name or in `description`. With `read_only=False` it can be set while the node runs.
-    A list default becomes a tuple; annotate it `tuple[float, ...]`.
+    Args:
+        default: of the field's type; a list becomes a tuple, whose field is annotated `tuple[float,
+            ...]` or `tuple[str, ...]`.
+        description: meaning, for README and help; names the unit unless the field's name does.
+        minimum: smallest value, inclusive, of every element of a list; None: no limit.
+        maximum: largest value, inclusive, of every element of a list; None: no limit but LARGEST.
+        read_only: whether it can't be set while the node runs.
+
+    Returns:
+        What `dataclasses.field` gives.
+
     """
     value = tuple(default) if isinstance(default, list | tuple) else default
     meaning = Meaning(description, minimum, maximum, read_only)
@@ -70,7 +78,15 @@ def param(
 
 
 def markdown_table(cls: type) -> str:
-    """Return the parameters of `cls` as a Markdown table (no newline at the end)."""
+    """Return the parameters of a class as a Markdown table.
+
+    Args:
+        cls: dataclass with `param` fields.
+
+    Returns:
+        The table, without a newline at the end.
+
+    """
     lines = ["| name | type | default | range | meaning |", "|---|---|---|---|---|"]
     for name, (hint, default, meaning) in param_fields(cls).items():
         text = meaning.description if meaning.read_only else meaning.description + " (at run time)"
@@ -85,6 +101,15 @@ def add_options(parser: argparse._ActionsContainer, cls: type, names: Sequence[s
     """Let a command take some of the parameters: `settle_s` as `--settle-s`, its default shown.
 
     A value outside of the parameter's range is a usage error.
+
+    Args:
+        parser: parser, or a group of its options.
+        cls: dataclass with `param` fields.
+        names: of the fields that become options; each an int, a float or a str.
+
+    Raises:
+        TypeError: a field has a type that no option can have.
+
     """
     fields = param_fields(cls)
     for name in names:
@@ -101,7 +126,17 @@ def add_options(parser: argparse._ActionsContainer, cls: type, names: Sequence[s
 
 
 def from_options(options: argparse.Namespace, cls: type[T], names: Sequence[str]) -> T:
-    """Read the options that `add_options` made into parameters; others have their defaults."""
+    """Read the options that `add_options` made into parameters.
+
+    Args:
+        options: parsed.
+        cls: dataclass with `param` fields.
+        names: of the fields that are options; others have their defaults.
+
+    Returns:
+        The instance, not validated.
+
+    """
     return cls(**{name: getattr(options, name) for name in names})
 
 
@@ -118,7 +153,18 @@ def _option_type(hint: Any, meaning: Meaning) -> Callable[[str], Any]:
 
 
 def param_fields(cls: type) -> dict[str, tuple[Any, Any, Meaning]]:
-    """Return name -> (type hint, default, meaning) of the `param` fields, in their order."""
+    """Return the `param` fields of a class.
+
+    Args:
+        cls: dataclass; fields without `param` are left out.
+
+    Returns:
+        Type hint, default and meaning by the field's name, in the fields' order.
+
+    Raises:
+        TypeError: a field's type is not one that a parameter can have.
+
+    """
     hints = get_type_hints(cls)
     found = {}
     for field in dataclasses.fields(cls):
@@ -132,7 +178,21 @@ def param_fields(cls: type) -> dict[str, tuple[Any, Any, Meaning]]:
 
 
 def checked(name: str, value: Any, hint: Any, meaning: Meaning) -> Any:
-    """Return `value` as the field's type, or raise ParameterError."""
+    """Return a parameter's value as the field's type.
+
+    Args:
+        name: of the parameter, for the error's text.
+        value: as ROS or a caller gives it; an int is taken for a float, an array for a list.
+        hint: the field's type.
+        meaning: with the range, which holds for every element of a list.
+
+    Returns:
+        The value; a list as a tuple.
+
+    Raises:
+        ParameterError: it has another type, is out of range, or is not finite.
+
+    """
     element = {tuple[float, ...]: float, tuple[str, ...]: str}.get(hint)
     try:
         if element is None:
@@ -164,7 +224,16 @@ def _checked_scalar(value: Any, kind: Any, meaning: Meaning) -> Any:
 
 
 def wanted(hint: Any, meaning: Meaning) -> str:
-    """Return of what type and in what range a value must be, in words."""
+    """Return of what type and in what range a value must be, in words.
+
+    Args:
+        hint: the field's type.
+        meaning: with the range.
+
+    Returns:
+        The words, to follow "must be".
+
+    """
     text = f"a {_TYPE_NAMES[hint]}" if hint is not int else "an int"
     limits = [_format_range(meaning)]
     if hint in (float, tuple[float, ...]) and meaning.maximum is None:

@@ -178,7 +178,12 @@ class LimitedProtocol(H11Protocol):
     """
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """See asyncio.Protocol."""
+        """Take a new connection, or abort it where its address has MAX_CONNECTIONS already.
+
+        Args:
+            transport: see asyncio.Protocol.
+
+        """
         super().connection_made(transport)
         address = _address(self.client)
         count = sum(

@@ -60,7 +60,16 @@ class Options:
 
 
 def read_options(arguments: list[str], environment: dict[str, str] | None = None) -> Options:
-    """Read the command line; exits with code 2 and a message where it is wrong."""
+    """Read the command line; exits with code 2 and a message where it is wrong.
+
+    Args:
+        arguments: the command's own, without ROS's.
+        environment: variables, of which TOKEN_VARIABLE is read; None: the process's.
+
+    Returns:
+        The options; with a token made anew where one is needed and none is given.
+
+    """
     parser = make_parser(
         "panel",
         "The operator's panel: a page for the browser, served from here.",
@@ -139,7 +148,15 @@ def read_options(arguments: list[str], environment: dict[str, str] | None = None
 
 
 def is_loopback(host: str) -> bool:
-    """Return whether a server bound to this host is reached from this machine alone."""
+    """Return whether a server bound to this host is reached from this machine alone.
+
+    Args:
+        host: name or address; an IPv6 address with or without brackets.
+
+    Returns:
+        False for what is neither an address nor "localhost".
+
+    """
     if host.lower() == "localhost":
         return True
     try:

@@ -26,6 +26,12 @@ def end_server(server: Any, number: int, _frame: FrameType | None) -> None:
 
     That one cancels what still runs at a second SIGINT, with a traceback, and raises the signals
     anew inside the event loop.
+
+    Args:
+        server: uvicorn's, whose method this is.
+        number: of the signal.
+        _frame: not used.
+
     """
     _came.append(number)
     server.should_exit = True

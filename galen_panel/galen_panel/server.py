@@ -36,9 +36,17 @@ _KEPT = {"Cache-Control": "private, max-age=31536000, immutable"}
 
 
 def serve(suite: RosSuite, options: Options, on_stop: Callable[[], None]) -> None:
-    """Serve the panel until SIGINT or SIGTERM; at the end `on_stop` is called.
+    """Serve the panel until SIGINT or SIGTERM.
 
-    Raises GalenError where the address can't be had, or the certificate not be read.
+    Args:
+        suite: what the pages show and ask.
+        options: of the command line.
+        on_stop: called at the end.
+
+    Raises:
+        GalenError: the address can't be had, the certificate can't be used, or no report can be
+            written into the output directory.
+
     """
     end_by_signals()
     _check_address(options)
@@ -105,7 +113,15 @@ def serve(suite: RosSuite, options: Options, on_stop: Callable[[], None]) -> Non
 
 
 def mesh_answer(suite: RosSuite) -> Callable[[Request], Awaitable[Response]]:
-    """Make the route of the present arm's meshes; no path is made of what a browser asks for."""
+    """Make the route of the present arm's meshes; no path is made of what a browser asks for.
+
+    Args:
+        suite: with the arm's drawing.
+
+    Returns:
+        The route's handler: binary STL by the mesh's name, or 404.
+
+    """
 
     async def answer(request: Request) -> Response:
         drawing = suite.state.drawing

@@ -33,29 +33,66 @@ LATCHED = QoSProfile(
 
 
 def stamp_to_ns(stamp: Time) -> int:
-    """Return the stamp in nanoseconds."""
+    """Return a stamp in nanoseconds.
+
+    Args:
+        stamp: of a message's header.
+
+    Returns:
+        The same time, ns.
+
+    """
     return int(stamp.sec) * _NS_PER_S + int(stamp.nanosec)
 
 
 def fill_stamp(stamp: Time, ns: int) -> None:
-    """Write `ns` nanoseconds (not negative) into `stamp`."""
+    """Write a time into a stamp.
+
+    Args:
+        stamp: of a message's header; it is overwritten.
+        ns: the time, ns, not negative.
+
+    """
     stamp.sec, stamp.nanosec = divmod(ns, _NS_PER_S)
 
 
 def wrench_to_array(message: WrenchStamped) -> NDArray[np.float64]:
-    """Return (fx, fy, fz, tx, ty, tz) in N and N·m, shape (6,)."""
+    """Return a message's wrench as an array.
+
+    Args:
+        message: its header is not looked at.
+
+    Returns:
+        (6,): fx, fy, fz, tx, ty, tz in the message's frame, N and N·m.
+
+    """
     force, torque = message.wrench.force, message.wrench.torque
     return np.array([force.x, force.y, force.z, torque.x, torque.y, torque.z])
 
 
 def fill_wrench(message: WrenchStamped, wrench: NDArray[np.float64]) -> None:
-    """Write a wrench (6,) in N and N·m into `message`; its header stays as it is."""
+    """Write a wrench into a message; its header stays as it is.
+
+    Args:
+        message: whose wrench is overwritten.
+        wrench: (6,) in the message's frame, N and N·m.
+
+    """
     force, torque = message.wrench.force, message.wrench.torque
     force.x, force.y, force.z, torque.x, torque.y, torque.z = (float(value) for value in wrench)
 
 
 def publisher_nodes(node: Node, topic: str) -> list[str]:
-    """Return the full names of the nodes that publish a topic, one a publisher, sorted."""
+    """Return the nodes that publish a topic.
+
+    Args:
+        node: that looks; its namespace and remaps hold for the topic.
+        topic: relative or absolute name.
+
+    Returns:
+        Full names, one a publisher, sorted; a node with two publishers is there twice.
+
+    """
     return sorted(
         f"{info.node_namespace.rstrip('/')}/{info.node_name}"
         for info in node.get_publishers_info_by_topic(node.resolve_topic_name(topic))

@@ -121,11 +121,24 @@ class DeferredActionServer(ActionServer):
     def notify_execute(
         self, goal_handle: ServerGoalHandle, execute_callback: Callable[..., Any] | None
     ) -> None:
-        """Begin a goal; ServerGoalHandle.execute calls it, where rclpy would start a coroutine."""
+        """Begin a goal; ServerGoalHandle.execute calls it, where rclpy would start a coroutine.
+
+        Args:
+            goal_handle: of the accepted goal; `on_start` gets it.
+            execute_callback: rclpy's argument, not used.
+
+        """
         self._on_start(goal_handle)
 
     def finish(self, goal_handle: ServerGoalHandle, result: Any, success: bool) -> None:
-        """End the goal: succeeded, canceled where the client asked for it, else aborted."""
+        """End a goal: succeeded, canceled where the client asked for it, else aborted.
+
+        Args:
+            goal_handle: as `on_start` got it.
+            result: the action's Result.
+            success: whether the goal has succeeded.
+
+        """
 
         def end(handle: ServerGoalHandle) -> Any:
             if success:
@@ -165,10 +178,14 @@ class BackgroundJobs:
         done: Callable[[T], None],
         dropped: Callable[[], None] | None = None,
     ) -> None:
-        """Run `job` in the thread, then `done(its result)` in the executor's thread.
+        """Run a job in the thread; call this in the executor's thread.
 
-        An exception of the job is raised there as well. `dropped` is called instead where `close`
-        came before the job's turn. Call it in the executor's thread.
+        Args:
+            job: runs in the thread, after those submitted before.
+            done: called with the job's result in the executor's thread; an exception of the job is
+                raised there instead.
+            dropped: called instead where `close` came before the job's turn; None: nothing is.
+
         """
         self._waiting.append((self._thread.submit(job), done, dropped))
         self._look.reset()
@@ -201,6 +218,10 @@ def guard_parameter_services(node: Node) -> None:
 
     rclpy raises out of the executor for a parameter of an unknown type, as rclcpp did:
     https://github.com/ros2/rclcpp/issues/3257
+
+    Args:
+        node: whose parameter services are guarded.
+
     """
     for service in node.services:
         if hasattr(service.callback, _GUARDED):
@@ -254,6 +275,11 @@ def guard_transitions(node: Node, state: Callable[[], str]) -> None:
     """Answer "no" to a transition that the state lacks, where rclpy raises out of the executor.
 
     https://github.com/ros2/rclpy/issues/1209
+
+    Args:
+        node: a lifecycle node, with its one service `change_state`.
+        state: returns the state's name, for the log.
+
     """
     (service,) = (s for s in node.services if s.srv_name.endswith("/change_state"))
     change_state = service.callback
@@ -276,9 +302,13 @@ def guard_transitions(node: Node, state: Callable[[], str]) -> None:
 
 
 def destroy_all(made: Iterable[tuple[Any, Callable[[Any], object]]]) -> None:
-    """Destroy (entity, what destroys it); what the executor still holds of them is ignored.
+    """Destroy entities; what the executor still holds of them is ignored.
 
     https://github.com/ros2/rclpy/issues/1206
+
+    Args:
+        made: each entity (publisher, subscription, service, client, timer) with what destroys it.
+
     """
     for entity, destroy in made:
         for one in (entity, *getattr(entity, "event_handlers", ())):
@@ -293,6 +323,10 @@ def leave_graph(node: Any) -> None:
     """Remove the services of a destroyed lifecycle node from the graph.
 
     https://github.com/ros2/rclpy/issues/1710
+
+    Args:
+        node: a lifecycle node, destroyed.
+
     """
     node._state_machine.destroy_when_not_in_use()
 

@@ -54,9 +54,17 @@ class StampClock:
         return self._elapsed_ns
 
     def advance(self, stamp_ns: int) -> bool:
-        """Take a sample's stamp (ns); False for a repeated one.
+        """Take a sample's stamp.
 
-        Raises StampsError for a topic that is slower than the longest step allowed.
+        Args:
+            stamp_ns: the stamp, ns.
+
+        Returns:
+            False for a repeated stamp.
+
+        Raises:
+            StampsError: most steps are jumps, as of a topic slower than the longest step allowed.
+
         """
         last, self.stamp_ns = self.stamp_ns, stamp_ns
         if last is None:
@@ -108,7 +116,15 @@ class ArrivalMonitor:
     def __init__(
         self, settings: ArrivalSettings, target: Array | None, allowance_s: float, topic: str
     ) -> None:
-        """`target` (n,) or None to wait only for a standstill; `allowance_s` is the time-out."""
+        """Start before the first joint state.
+
+        Args:
+            settings: tolerances of the arm's n joints, and times.
+            target: (n,), m and rad; None: only a standstill is waited for.
+            allowance_s: time-out to arrive, stop and settle, s of stamps.
+            topic: of the joint states, as it is called in sentences.
+
+        """
         self._settings = settings
         self._target = None if target is None else np.array(target, float)
         self._allowance_s = allowance_s
@@ -121,9 +137,20 @@ class ArrivalMonitor:
         self._jumps_seen = 0
 
     def add(self, stamp_ns: int, position: Array, velocity: Array | None) -> bool:
-        """Take a joint state, (n,) in m, rad and per s; True once arrived, stopped and settled.
+        """Take a joint state.
 
-        Raises MotionTimeoutError when the allowance is used up.
+        Args:
+            stamp_ns: its stamp, ns.
+            position: (n,), m and rad.
+            velocity: (n,), m/s and rad/s; None where the message has none.
+
+        Returns:
+            True once arrived, stopped and settled.
+
+        Raises:
+            MotionTimeoutError: the allowance is used up.
+            StampsError: as `StampClock.advance` does.
+
         """
         if not self.clock.advance(stamp_ns):
             return False
@@ -209,7 +236,7 @@ class PoseRecorder:
     """One visit of one pose. Feed it both streams; `result` is set when the visit is over.
 
     The average runs over the same stretch of stamps in both streams, so it does not matter in
-    which order or how bunched the samples come in. Raises MotionTimeoutError from `add_joints`.
+    which order or how bunched the samples come in.
     A topic that brings nothing at all is waited for; `GoalProcedure` ends it by the wall clock.
     """
 
@@ -221,7 +248,16 @@ class PoseRecorder:
         target: Array | None,
         allowance_s: float,
     ) -> None:
-        """`target` (n,) in m and rad, None: anywhere; `allowance_s` to arrive, stop and settle."""
+        """Start before the first sample.
+
+        Args:
+            arrival: tolerances of the arm's n joints, and times.
+            stillness: when the averaged pose was still.
+            average_s: length of the average, s of stamps, from when the arm has settled.
+            target: (n,), m and rad; None: anywhere.
+            allowance_s: time-out to arrive, stop and settle, s of stamps.
+
+        """
         self._arm = arrival.arm
         self._stillness = stillness
         self._average_ns = round(average_s * NS)
@@ -252,7 +288,18 @@ class PoseRecorder:
         return " and ".join(reasons)
 
     def add_joints(self, stamp_ns: int, position: Array, velocity: Array | None) -> None:
-        """Take a joint state, (n,) in m, rad and per s."""
+        """Take a joint state.
+
+        Args:
+            stamp_ns: its stamp, ns.
+            position: (n,), m and rad.
+            velocity: (n,), m/s and rad/s; None where the message has none.
+
+        Raises:
+            MotionTimeoutError: the arm did not arrive, stop and settle in time.
+            StampsError: as `StampClock.advance` does.
+
+        """
         if self.result is not None:
             return
         if self._window is None:
@@ -266,7 +313,16 @@ class PoseRecorder:
             self._finish_if_complete()
 
     def add_wrench(self, stamp_ns: int, wrench: Array) -> None:
-        """Take a wrench, (6,) in ft_sensor, N and N.m."""
+        """Take a wrench.
+
+        Args:
+            stamp_ns: its stamp, ns.
+            wrench: (6,) in the sensor's frame, N and N.m.
+
+        Raises:
+            StampsError: as `StampClock.advance` does.
+
+        """
         if self.result is not None or not self._wrench_clock.advance(stamp_ns):
             return
         self._wrenches.append((stamp_ns, wrench))

@@ -77,7 +77,15 @@ class MotionParameters:
     arm: Arm = field(default=GALEN, repr=False, compare=False)
 
     def beside(self, joints: Mapping[str, float]) -> Self:
-        """Return the same of an arm beside which other joints stand so, by name, m and rad."""
+        """Return the same settings of an arm beside which other joints stand so.
+
+        Args:
+            joints: position by the joint's name, m or rad, as the driver reports them.
+
+        Returns:
+            A copy whose arm has these in `beside`.
+
+        """
         return replace(self, arm=replace(self.arm, beside=dict(joints)))
 
     @property
@@ -110,10 +118,19 @@ class MotionParameters:
         )
 
     def braking(self, joints: Array, velocity: Array | None) -> tuple[Array, float]:
-        """Return where the arm comes to rest if it brakes now (n,), and after how long, s.
+        """Return where the arm comes to rest if it brakes now, and after how long.
 
-        joints, velocity (n,): as measured; with None it comes back to where it was measured. The
-        quintic to rest over v T / 2 accelerates by 1.5 v / T at most, the one back by 3.94 v / T.
+        The quintic to rest over v T / 2 accelerates by 1.5 v / T at most, the one back by 3.94 v /
+        T.
+
+        Args:
+            joints: (n,) as measured, m and rad.
+            velocity: (n,) as measured, m/s and rad/s; None, or not finite: the arm comes back to
+                where it was measured.
+
+        Returns:
+            Joints (n,) at rest, m and rad, within the arm's limits; duration, s.
+
         """
         most = self.max_velocity
         if velocity is None or not np.all(np.isfinite(velocity)):

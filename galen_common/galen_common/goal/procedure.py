@@ -121,7 +121,13 @@ class GoalProcedure(ABC):
     """Whether it commands the arm; else an operator moves it."""
 
     def __init__(self, settings: MotionParameters, state: IntEnum) -> None:
-        """`state` is the first one."""
+        """Prepare a goal; nothing happens before `start`.
+
+        Args:
+            settings: of motion and time-outs, with the arm.
+            state: the first state, of the action's own enumeration.
+
+        """
         self._settings = settings
         self._state = state
         self._commands: list[Any] = []
@@ -167,7 +173,12 @@ class GoalProcedure(ABC):
         """How much is done, of how much."""
 
     def take_commands(self) -> list[Any]:
-        """Return the commands given since the last call, in order."""
+        """Return the commands given since the last call.
+
+        Returns:
+            MoveTo, Stop, End and what a subclass adds, in order.
+
+        """
         commands, self._commands = self._commands, []
         return commands
 
@@ -208,7 +219,14 @@ class GoalProcedure(ABC):
         self._report(f"waiting for {JOINTS} and {self.wrench_topic}")
 
     def on_joints(self, stamp_ns: int, position: Array, velocity: Array | None) -> None:
-        """Take a joint state, (n,) in m, rad and per s; velocity None where there is none."""
+        """Take a joint state.
+
+        Args:
+            stamp_ns: its stamp, ns.
+            position: (n,) of the arm's joints, m and rad.
+            velocity: (n,), m/s and rad/s; None where the message has none.
+
+        """
         self._silences[0].heard(stamp_ns)
         self._joints = position
         if not self._under_way:
@@ -225,7 +243,13 @@ class GoalProcedure(ABC):
             self.fail(self.codes["BAD_INPUT"], str(error))
 
     def on_wrench(self, stamp_ns: int, wrench: Array) -> None:
-        """Take a wrench of `wrench_topic`, (6,) in ft_sensor, N and N.m."""
+        """Take a wrench of `wrench_topic`.
+
+        Args:
+            stamp_ns: its stamp, ns.
+            wrench: (6,) in the sensor's frame, N and N.m.
+
+        """
         self._silences[1].heard(stamp_ns)
         if not self._under_way:
             self._begin_if_ready(self.wrench_topic, stamp_ns)
@@ -236,7 +260,12 @@ class GoalProcedure(ABC):
             self.fail(self.codes["BAD_INPUT"], str(error))
 
     def on_wall(self, now_s: float) -> None:
-        """Take the time of a steady wall clock (s), some ten times a second."""
+        """Take the time of a wall clock, some ten times a second.
+
+        Args:
+            now_s: of a steady clock, s; only differences count.
+
+        """
         last_s, self._wall_s = self._wall_s, now_s
         dt = 0.0 if last_s is None else min(max(now_s - last_s, 0.0), _LONGEST_TICK_S)
         if self._finished or not self._started:
@@ -270,7 +299,13 @@ class GoalProcedure(ABC):
         self.fail(self.codes["CANCELED"], f"canceled in state {self._state.name}")
 
     def fail(self, code: IntEnum, message: str) -> None:
-        """Stop the arm and end with this error."""
+        """Stop the arm and end with this error; nothing happens where the goal is ending already.
+
+        Args:
+            code: one of `codes`.
+            message: the error's sentence, for the action's result.
+
+        """
         if self.ending:
             return
         self._ending = self._make_end(code, message)
@@ -380,7 +415,13 @@ class PoseProcedure(GoalProcedure):
     _settings: PoseParameters
 
     def __init__(self, settings: PoseParameters, state: IntEnum) -> None:
-        """`state` is the first one."""
+        """Prepare a goal; nothing happens before `start`.
+
+        Args:
+            settings: of motion, averages and time-outs, with the arm.
+            state: the first state, of the action's own enumeration.
+
+        """
         super().__init__(settings, state)
         self._router: Router | None = None
         self._ordered: Array | None = None
@@ -405,7 +446,13 @@ class PoseProcedure(GoalProcedure):
         self._recorder = None
 
     def fail(self, code: IntEnum, message: str) -> None:
-        """Stop the arm and end with this error; where samples were lost, it names the cause."""
+        """Stop the arm and end with this error.
+
+        Args:
+            code: one of `codes`.
+            message: the error's sentence; where lost samples may be the cause, they are added.
+
+        """
         if self._recorder is not None and not self.ending:
             self._note_jumps(self._recorder.jumps, self._recorder.last_jump)
         if self._jumps and code.name in _OF_LOST_SAMPLES:

@@ -101,12 +101,22 @@ class StreamMonitor(ABC):
         self._latencies_s.clear()
 
     def on_joints(self, now_s: float) -> None:
-        """Note that a joint message came."""
+        """Note that a joint message came.
+
+        Args:
+            now_s: wall time, s.
+
+        """
         self._joints_seen += 1
         self._joints_s = now_s
 
     def on_wrench(self, now_s: float) -> None:
-        """Note that a wrench came."""
+        """Note that a wrench came.
+
+        Args:
+            now_s: wall time, s.
+
+        """
         self._wrench_s = now_s
 
     def stamps_are_simulated(self) -> None:
@@ -117,7 +127,17 @@ class StreamMonitor(ABC):
         self._lateness = LateWatch(0.0)
 
     def on_output(self, arrival_s: float, now_s: float, stamp_ns: int) -> bool:
-        """Note an output, and when its wrench came. True when it may have changed the state."""
+        """Note an output, and when its wrench came.
+
+        Args:
+            arrival_s: wall time at which the wrench came, s.
+            now_s: wall time of the output, s.
+            stamp_ns: the wrench's stamp, ns.
+
+        Returns:
+            True when it may have changed the state.
+
+        """
         first = self._output_s is None or now_s - self._output_s > HOLD_S
         self._outputs += 1
         self._output_s = now_s
@@ -126,22 +146,54 @@ class StreamMonitor(ABC):
         return first
 
     def on_rejected(self, rejected: Rejected, now_s: float) -> bool:
-        """Note a rejection. True when it may have changed the state."""
+        """Note a rejection.
+
+        Args:
+            rejected: the wrench that was not used, and why.
+            now_s: wall time, s.
+
+        Returns:
+            True when it may have changed the state.
+
+        """
         last = self._last
         self._last = (rejected, now_s)
         return last is None or last[0].reason is not rejected.reason or now_s - last[1] > HOLD_S
 
     def on_restart(self, why: str, now_s: float) -> None:
-        """Note that everything was cleared."""
+        """Note that everything was cleared.
+
+        Args:
+            why: sentence for /diagnostics.
+            now_s: wall time, s.
+
+        """
         self._restart = (why, now_s)
         self._output_s = None
 
     def on_notice(self, text: str, now_s: float) -> None:
-        """Note what a person should hear of for a while."""
+        """Show a sentence in the state for NOTICE_HOLD_S.
+
+        Args:
+            text: sentence for an operator.
+            now_s: wall time, s.
+
+        """
         self._notice = (text, now_s)
 
     def publishers_changed(self, topic: str, listed: int, came: int, now_s: float) -> str:
-        """Take a topic's publishers from discovery; return why to start anew, or nothing."""
+        """Take a topic's publishers from discovery.
+
+        Args:
+            topic: the wrench's, or `joint_states`.
+            listed: how many publishers there are now.
+            came: how many of these are new.
+            now_s: wall time, s.
+
+        Returns:
+            Why to start anew; empty: no need.
+
+        """
         publishers = self.publishers[topic]
         silent = publishers.listed > 0 and self._was_silent(topic, publishers.since_s, now_s)
         why = publishers.changed(listed, came, silent, now_s)
@@ -152,7 +204,12 @@ class StreamMonitor(ABC):
     def review(self, now_s: float) -> Sequence[Rejected]:
         """Judge what no single sample shows; call it after `tick`, and when publishers changed.
 
-        Returns what is rejected for it of the wrenches that waited.
+        Args:
+            now_s: wall time, s.
+
+        Returns:
+            The waiting wrenches that are rejected for it.
+
         """
         pairing = self._pairing
         topic = pairing.wrench_topic
@@ -169,7 +226,12 @@ class StreamMonitor(ABC):
         return []
 
     def tick(self, now_s: float) -> None:
-        """Take the counts for the rates, and new notices; call it a few times a second."""
+        """Take the counts for the rates, and new notices; call it a few times a second.
+
+        Args:
+            now_s: wall time, s.
+
+        """
         pairing = self._pairing
         seen, received, outputs = self._joints_seen, pairing.received, self._outputs
         self._counts.append((now_s, {"joints": seen, "wrenches": received, "outputs": outputs}))
@@ -191,7 +253,15 @@ class StreamMonitor(ABC):
         self._irregular = irregular
 
     def state(self, now_s: float) -> StreamState:
-        """Return the state now; the most serious and most basic trouble comes first."""
+        """Return the state now; the most serious and most basic trouble comes first.
+
+        Args:
+            now_s: wall time, s.
+
+        Returns:
+            The state.
+
+        """
         return (
             self._standing_state()
             or self._silence_state(now_s)
@@ -286,7 +356,16 @@ class StreamMonitor(ABC):
         return None
 
     def inputs(self, now_s: float, output_topic: str) -> dict[str, object]:
-        """Return rates, ages and latency, for /diagnostics; units are in the names."""
+        """Return rates, ages and latency, for /diagnostics.
+
+        Args:
+            now_s: wall time, s.
+            output_topic: as it is called in the values' names.
+
+        Returns:
+            Values by name; the unit (hz, s, ms) ends the name.
+
+        """
         topic = self._pairing.wrench_topic
         values: dict[str, object] = {
             f"{topic}_hz": self._rate("wrenches"),
@@ -338,7 +417,15 @@ class StreamMonitor(ABC):
 
 
 def joined(numbers: np.ndarray) -> str:
-    """Join numbers to a value on /diagnostics."""
+    """Join numbers to a value on /diagnostics.
+
+    Args:
+        numbers: (n,), of any unit.
+
+    Returns:
+        Six digits of each, separated by spaces.
+
+    """
     return " ".join(f"{number:.6g}" for number in numbers)
 
 

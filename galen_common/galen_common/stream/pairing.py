@@ -94,7 +94,12 @@ class StreamParameters:
     )
 
     def validate(self) -> None:
-        """Check what no single range can say."""
+        """Check what no single range can say.
+
+        Raises:
+            ValueError: the sensor's range has not six numbers.
+
+        """
         if len(self.sensor_range) != 6:
             raise ValueError(
                 f"parameter 'sensor_range' has {len(self.sensor_range)} numbers, but must have 6"
@@ -122,7 +127,15 @@ class Awaited(Protocol):
         """The newest stamp that need not wait; None: none yet."""
 
     def late(self, newest_wrench_ns: int) -> tuple[Enum, str] | None:
-        """Why what waits must not wait any longer; None: it may."""
+        """Return why what waits must not wait any longer.
+
+        Args:
+            newest_wrench_ns: stamp of the newest wrench, ns.
+
+        Returns:
+            Reason and sentence of the rejection; None: it may wait.
+
+        """
 
 
 class WrenchPairing:
@@ -144,8 +157,15 @@ class WrenchPairing:
     ) -> None:
         """Pair a topic's wrenches.
 
-        `on_restart(why)` is called after everything was cleared because the driver restarted;
-        wrench_topic: as it is called in sentences; sensor_frame: what a wrench's frame_id must be.
+        Args:
+            parameters: limits of ages, gaps and range.
+            on_restart: called with a sentence after everything was cleared, because the driver
+                restarted.
+            wrench_topic: as it is called in sentences.
+            sensor_frame: what a wrench's frame_id must be.
+            awaited: what a wrench waits for besides the joints; None: nothing.
+            arm: whose joints they are.
+
         """
         self._on_restart = on_restart
         self._awaited = awaited
@@ -188,7 +208,16 @@ class WrenchPairing:
         return None if self._reported is None else self._reported[1]
 
     def bar(self, reason: Enum, detail: str) -> list[Rejected]:
-        """Reject every wrench until `unbar`, those that wait, too."""
+        """Reject every wrench until `unbar`, those that wait, too.
+
+        Args:
+            reason: under which they are counted.
+            detail: sentence for an operator.
+
+        Returns:
+            The wrenches that waited.
+
+        """
         self._barred = (reason, detail)
         return self.reject_waiting(reason, detail)
 
@@ -202,7 +231,16 @@ class WrenchPairing:
         return self._distrust is not None
 
     def distrust(self, reason: Enum, detail: str) -> list[Rejected]:
-        """Reject every wrench until `trust`, for a reason that no single sample shows."""
+        """Reject every wrench until `trust`, for a reason that no single sample shows.
+
+        Args:
+            reason: under which they are counted.
+            detail: sentence for an operator.
+
+        Returns:
+            The wrenches that waited.
+
+        """
         self._distrust = (reason, detail)
         return self.reject_waiting(reason, detail)
 
@@ -211,7 +249,15 @@ class WrenchPairing:
         self._distrust = None
 
     def restart(self, why: str) -> list[Rejected]:
-        """Forget every sample: it belongs to the driver's life so far. Counters stay."""
+        """Forget every sample: it belongs to the driver's life so far. Counters stay.
+
+        Args:
+            why: sentence for an operator, which `on_restart` gets as well.
+
+        Returns:
+            The wrenches that waited.
+
+        """
         results = self.reject_waiting(Rejection.RESTART, why)
         self._joints.clear()
         self._reported = None
@@ -226,7 +272,12 @@ class WrenchPairing:
     # Samples
 
     def push_bad_joints(self, detail: str) -> None:
-        """Take note of a joint message that can't be used; `detail` says why."""
+        """Take note of a joint message that can't be used.
+
+        Args:
+            detail: why; the next rejections for lack of joints give it.
+
+        """
         self.notices[Notice.BAD_JOINTS] += 1
         self._joint_trouble = detail
 
@@ -237,10 +288,17 @@ class WrenchPairing:
         frame_id: str | None = None,
         tag: object = None,
     ) -> list[Result]:
-        """Take a wrench (6,), N and N.m; returns what became of it and of those that waited.
+        """Take a wrench.
 
-        The list is empty while the wrench waits for joint samples. `frame_id` None is not checked;
-        `tag` comes back with the paired wrench.
+        Args:
+            stamp_ns: its stamp, ns.
+            wrench: (6,) as read, in the sensor's frame, N and N.m.
+            frame_id: of the message; None: not checked.
+            tag: comes back with the paired wrench.
+
+        Returns:
+            What became of it and of those that waited; empty while it waits for joint samples.
+
         """
         number = self.received
         self.received += 1
@@ -283,12 +341,29 @@ class WrenchPairing:
         return results
 
     def push_bad_wrench(self, detail: str) -> list[Rejected]:
-        """Reject a wrench message that can't be read, and so has no stamp; `detail` says why."""
+        """Reject a wrench message that can't be read, and so has no stamp.
+
+        Args:
+            detail: why it can't be read.
+
+        Returns:
+            The one rejection, with stamp 0.
+
+        """
         self.received += 1
         return [self.reject(0, Rejection.UNREADABLE, detail, self.received - 1)]
 
     def push_joints(self, stamp_ns: int, joints: tuple[float, ...]) -> list[Result]:
-        """Take joints, all or the turning ones; returns what became of wrenches that waited."""
+        """Take a joint sample.
+
+        Args:
+            stamp_ns: its stamp, ns.
+            joints: all n joints of the arm, m and rad, or the k turning ones, rad; always the same.
+
+        Returns:
+            What became of wrenches that waited.
+
+        """
         results: list[Result] = []
         newest = self._joints.newest_ns
         if newest is not None:
@@ -344,7 +419,15 @@ class WrenchPairing:
         return results
 
     def push_run(self, arrivals: Arrivals) -> PairedRun:
-        """Take the regular samples at the start of `arrivals` as arrays; nothing is rejected."""
+        """Take the regular samples at the start as arrays; nothing is rejected.
+
+        Args:
+            arrivals: samples of both topics, in the order of their arrival.
+
+        Returns:
+            The wrenches that come out; the sample at which `taken` ends is to be pushed by itself.
+
+        """
         waiting = self._waiting
         waiting_ns = np.array([one.stamp_ns for one in waiting], dtype=np.int64)
         arrivals, joints = find_regular_run(
@@ -383,7 +466,15 @@ class WrenchPairing:
         return PairedRun(len(arrivals.is_wrench), number[:out], stamp_ns[:out], raw[:out], joints)
 
     def forget_joints(self, detail: str) -> list[Rejected]:
-        """Forget the joint samples, as of another joint vector; reject what waits for them."""
+        """Forget the joint samples, as of another joint vector; reject what waits for them.
+
+        Args:
+            detail: sentence for an operator.
+
+        Returns:
+            The wrenches that waited.
+
+        """
         self._joints.clear()
         return self.reject_waiting(Rejection.NO_JOINTS, detail)
 
@@ -484,12 +575,32 @@ class WrenchPairing:
         return PairedWrench(stamp_ns, raw, joints, tag, number)
 
     def reject(self, stamp_ns: int, reason: Enum, detail: str, number: int) -> Rejected:
-        """Count the rejection of one wrench."""
+        """Count the rejection of one wrench.
+
+        Args:
+            stamp_ns: the wrench's stamp, ns; 0 without one.
+            reason: under which it is counted.
+            detail: sentence for an operator.
+            number: of the wrench in the order of arrival, from 0.
+
+        Returns:
+            The rejection.
+
+        """
         self.rejections[reason] += 1
         return Rejected(stamp_ns, reason, detail, number)
 
     def reject_waiting(self, reason: Enum, detail: str) -> list[Rejected]:
-        """Reject the wrenches that wait."""
+        """Reject the wrenches that wait.
+
+        Args:
+            reason: under which they are counted.
+            detail: sentence for an operator.
+
+        Returns:
+            Their rejections, the oldest first.
+
+        """
         results: list[Rejected] = [
             self.reject(waiting.stamp_ns, reason, detail, waiting.number)
             for waiting in self._waiting

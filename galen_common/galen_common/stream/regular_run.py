@@ -39,7 +39,15 @@ class Arrivals:
     wrench_usable: np.ndarray
 
     def first(self, count: int) -> Arrivals:
-        """Return only the `count` samples that came first."""
+        """Return only the samples that came first.
+
+        Args:
+            count: how many, of both topics together.
+
+        Returns:
+            Views of the arrays' beginnings.
+
+        """
         w = int(np.count_nonzero(self.is_wrench[:count]))
         j = count - w
         return Arrivals(
@@ -62,14 +70,20 @@ def find_regular_run(
     reported: tuple[int, tuple[float, ...]] | None,
     angles: Array,
 ) -> tuple[Arrivals, Array]:
-    """Find the regular run at the start of `arrivals`.
+    """Find the regular run at the start of the arrivals.
 
-    The rest is the state before: stamps (k,) of the wrenches that wait, the newest wrench's stamp,
-    the joint samples, the last angles reported and their stamp. angles: the arrivals' (j, k).
+    Args:
+        arrivals: samples of both topics; joints (j, all n or the k turning ones).
+        waiting_ns: (k,) stamps of the wrenches that wait, ns.
+        newest_wrench_ns: stamp of the newest wrench before, ns; None: there is none.
+        joints: the joint samples before.
+        limits: of steps, ages and the queue.
+        reported: stamp, ns, and angles, rad, of the last joint sample before; None: there is none.
+        angles: (j, k) of the arrivals' turning joints, rad.
 
     Returns:
-        The regular arrivals. Of the wrenches that waited, followed by those that arrived, the first
-        ones come out: as many as there are joints at their stamps.
+        The regular arrivals; and joints, as many rows as wrenches come out. These are the first
+        ones of the wrenches that waited, followed by those that arrived.
 
     """
     if np.any(np.diff(waiting_ns) <= 0):

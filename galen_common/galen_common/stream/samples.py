@@ -108,7 +108,17 @@ class SampleLimits:
     sensor_range: tuple[float, ...]
 
     def restarted(self, topic: str, stamp_ns: int, newest_ns: int) -> str:
-        """Return why the stamp after the newest one means a restart; else empty."""
+        """Return why a stamp after the newest one means a restart.
+
+        Args:
+            topic: as it is called in the sentence.
+            stamp_ns: the stamp, ns.
+            newest_ns: the newest one before, ns.
+
+        Returns:
+            A sentence; empty: no restart.
+
+        """
         step_ns = stamp_ns - newest_ns
         if step_ns < -self.max_age_ns:
             return f"driver restarted: {topic} stamps jumped back by {-step_ns * 1e-9:.3f} s"
@@ -121,9 +131,15 @@ class SampleLimits:
         return ""
 
     def regular_steps(self, stamp_ns: np.ndarray, newest_ns: int | None) -> np.ndarray:
-        """Return which stamps (n,) are later than the one before by no more than a restart's gap.
+        """Return which stamps are later than the one before by no more than a restart's gap.
 
-        The first one is compared with `newest_ns`; None: with nothing.
+        Args:
+            stamp_ns: (n,), ns.
+            newest_ns: what the first one is compared with, ns; None: with nothing.
+
+        Returns:
+            Mask (n,).
+
         """
         regular = np.ones(len(stamp_ns), dtype=bool)
         if len(stamp_ns):
@@ -134,9 +150,17 @@ class SampleLimits:
         return regular
 
     def range_notices(self, wrench: Sequence[float]) -> tuple[bool, bool]:
-        """Return whether a wrench (6,) is at the sensor's range, and its torque of another unit.
+        """Return whether a wrench is at the sensor's range, and its torque of another unit.
 
         A sensor that clips reads its range itself.
+
+        Args:
+            wrench: (6,) as read, finite, N and N.m.
+
+        Returns:
+            Whether any axis is at its range or beyond; whether a torque is TORQUE_UNIT_FACTOR
+            beyond it.
+
         """
         limits = self.sensor_range
         worst_torque = max(
@@ -149,7 +173,15 @@ class SampleLimits:
         return beyond, worst_torque > TORQUE_UNIT_FACTOR
 
     def count_range_notices(self, wrenches: Array) -> tuple[int, int]:
-        """Count the wrenches (n, 6) for which each of `range_notices` holds."""
+        """Count the wrenches for which each of `range_notices` holds.
+
+        Args:
+            wrenches: (n, 6) as read, finite, N and N.m.
+
+        Returns:
+            Number at the range or beyond; number whose torque looks like another unit.
+
+        """
         sizes, limits = np.abs(wrenches), np.array(self.sensor_range)
         worst_torque = (sizes[:, 3:] / limits[3:]).max(axis=1, initial=0.0)
         beyond = worst_torque >= _AT_RANGE
@@ -158,12 +190,30 @@ class SampleLimits:
 
 
 def joint_jump(step_ns: Any, step_rad: Any) -> Any:
-    """Return whether no joint can have turned so far between two samples; numbers or arrays."""
+    """Return whether no joint can have turned so far between two samples.
+
+    Args:
+        step_ns: from one stamp to the next, ns; a number or (n,).
+        step_rad: largest step of a turning joint, rad; a number or (n,).
+
+    Returns:
+        A bool, or a mask (n,).
+
+    """
     return step_rad > JOINT_JUMP_RAD_S * 1e-9 * step_ns
 
 
 def angle_unit_notice(angles: Sequence[float], limited: Sequence[bool]) -> bool:
-    """Return whether finite angles (k,) of the joints that are `limited` look like degrees."""
+    """Return whether an angle looks like degrees.
+
+    Args:
+        angles: (k,) of the turning joints, finite, rad.
+        limited: (k,) which of them have limits; others may be reported over many turns.
+
+    Returns:
+        True where one that is limited is beyond ANGLE_UNIT_LIMIT_RAD.
+
+    """
     return any(
         abs(angle) > ANGLE_UNIT_LIMIT_RAD
         for angle, counts in zip(angles, limited, strict=True)
@@ -172,12 +222,29 @@ def angle_unit_notice(angles: Sequence[float], limited: Sequence[bool]) -> bool:
 
 
 def count_angle_unit_notices(angles: Array, limited: Sequence[bool]) -> int:
-    """Count the rows of angles (n, k) for which `angle_unit_notice` holds."""
+    """Count the samples for which `angle_unit_notice` holds.
+
+    Args:
+        angles: (n, k) of the turning joints, rad.
+        limited: (k,) which of them have limits.
+
+    Returns:
+        Number of rows.
+
+    """
     return int((np.abs(angles[:, list(limited)]) > ANGLE_UNIT_LIMIT_RAD).any(axis=1).sum())
 
 
 def surely_finite(wrenches: Array) -> np.ndarray:
-    """Return which wrenches (n, 6) have a finite sum for certain; absurdly large ones don't."""
+    """Return which wrenches have a finite sum for certain; absurdly large ones don't.
+
+    Args:
+        wrenches: (n, 6), N and N.m.
+
+    Returns:
+        Mask (n,).
+
+    """
     return np.asarray((np.abs(wrenches) <= _LARGEST).all(axis=1))
 
 
@@ -195,9 +262,16 @@ class JointBuffer:
     """
 
     def __init__(self, max_gap_ns: int, capacity: int = 4096, arm: Arm | None = None) -> None:
-        """Keep at least `capacity` samples; never interpolate over more than `max_gap_ns`.
+        """Start empty.
 
-        arm: whose endless joints are interpolated the shorter way round; None: there are none.
+        Args:
+            max_gap_ns: longest distance of two samples to interpolate between, ns; above 0.
+            capacity: number of the newest samples that are surely kept; 2 or more.
+            arm: whose endless joints are interpolated the shorter way round; None: there are none.
+
+        Raises:
+            ValueError: a number is too small.
+
         """
         if max_gap_ns <= 0 or capacity < 2:
             raise ValueError(f"max_gap_ns = {max_gap_ns}, capacity = {capacity}: need > 0 and >= 2")
@@ -221,7 +295,16 @@ class JointBuffer:
         return self._capacity
 
     def nearest(self, positions: Array, to: Array) -> Array:
-        """Return positions (n, k), endless joints by whole turns nearest to `to` (n, k)."""
+        """Return positions, endless joints by whole turns nearest to others.
+
+        Args:
+            positions: (n, k), m and rad.
+            to: (n, k), m and rad.
+
+        Returns:
+            Positions (n, k), m and rad.
+
+        """
         return positions if self._arm is None else self._arm.nearest(positions, to)
 
     def clear(self) -> None:
@@ -230,7 +313,16 @@ class JointBuffer:
         self._positions.clear()
 
     def push(self, stamp_ns: int, positions: tuple[float, ...]) -> Notice | None:
-        """Store a sample if it is newer than the newest one; else return what is wrong with it."""
+        """Store a sample if it is newer than the newest one.
+
+        Args:
+            stamp_ns: its stamp, ns.
+            positions: (k,), m and rad; NaN: known to be bad.
+
+        Returns:
+            What is wrong with a sample that is not stored; None: it is stored.
+
+        """
         stamps = self._stamps
         if stamps and stamp_ns <= stamps[-1]:
             repeated = stamp_ns == stamps[-1]
@@ -244,9 +336,14 @@ class JointBuffer:
         return None
 
     def push_regular(self, stamp_ns: np.ndarray, positions: Array) -> None:
-        """Store samples as `push` would one by one: stamps (n,) increasing and newer, (n, k).
+        """Store samples as `push` would one by one.
 
         Trimming included: what is kept afterwards is the same.
+
+        Args:
+            stamp_ns: (n,), ns, increasing and newer than those in the buffer.
+            positions: (n, k), m and rad.
+
         """
         count = len(self._stamps) + len(stamp_ns)
         if count >= 2 * self._capacity:
@@ -258,9 +355,15 @@ class JointBuffer:
         del self._stamps[:excess], self._positions[:excess]
 
     def since(self, stamp_ns: int) -> tuple[np.ndarray, Array]:
-        """Return stamps (n,) and positions (n, k) from the last sample before `stamp_ns` on.
+        """Return the samples from the last one before a stamp on.
 
-        The newest sample is always among them. An empty buffer has (0,) and (0, 0).
+        Args:
+            stamp_ns: the stamp, ns.
+
+        Returns:
+            Stamps (n,), ns, and positions (n, k), m and rad; the newest sample is always among
+            them. An empty buffer has (0,) and (0, 0).
+
         """
         first = max(0, bisect_left(self._stamps, stamp_ns) - 1)
         positions = np.array(self._positions[first:], dtype=float)
@@ -271,11 +374,19 @@ class JointBuffer:
     def interpolate(
         self, stamps: np.ndarray, positions: Array, at_ns: np.ndarray
     ) -> tuple[Array, np.ndarray, np.ndarray]:
-        """Do as `joints_at` for stamps (n,) in samples (m,), (m, k), none newer than the last one.
+        """Do as `joints_at` for many stamps, in a series of samples.
 
         The samples need not be in the buffer; `since` and such as come after it make a series.
-        Returns joints (n, k); whether they are what `joints_at` gives (n,), else it rejects or they
-        aren't finite; the oldest sample (n,) that they need.
+
+        Args:
+            stamps: (m,) of the samples, ns, increasing.
+            positions: (m, k) of the samples, m and rad.
+            at_ns: (n,) where to interpolate, ns, none newer than the last sample.
+
+        Returns:
+            Joints (n, k), m and rad; mask (n,), whether they are what `joints_at` gives, else it
+            rejects or they aren't finite; place (n,) of the oldest sample that each needs.
+
         """
         after = np.searchsorted(stamps, at_ns, side="left")
         exact = stamps[after] == at_ns
@@ -290,11 +401,16 @@ class JointBuffer:
         return found, good, np.where(exact, after, before)
 
     def joints_at(self, stamp_ns: int) -> tuple[float, ...] | str:
-        """Interpolate positions (k,) at a stamp, linear between the two samples around it.
-
-        A text: why there are none.
+        """Interpolate positions at a stamp, linear between the two samples around it.
 
         A sample with exactly this stamp is returned as it is. Never extrapolates.
+
+        Args:
+            stamp_ns: the stamp, ns.
+
+        Returns:
+            Positions (k,), m and rad, all NaN next to a bad sample; or a text: why there are none.
+
         """
         stamps = self._stamps
         if not stamps:

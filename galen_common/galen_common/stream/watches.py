@@ -30,7 +30,12 @@ class FrozenWatch:
     """Look at the newest wrench and the newest angles. Times are wall times, s."""
 
     def __init__(self, frozen_s: float = FROZEN_S) -> None:
-        """`frozen_s`: so long must it stay the same; 0: not watched."""
+        """Start before the first wrench.
+
+        Args:
+            frozen_s: so long must the reading stay the same, s of wall time; 0: not watched.
+
+        """
         self._frozen_s = frozen_s
         self._wrench: tuple[float, ...] = ()
         self._since_s = 0.0
@@ -45,9 +50,17 @@ class FrozenWatch:
         wrench: Sequence[float] | Array | None,
         angles: Sequence[float] | None,
     ) -> str:
-        """Return why the reading can't be a live one, in words; empty while it may be.
+        """Return why the reading can't be a live one.
 
-        received: how many wrenches came so far; wrench (6,); angles: of the turning joints, rad.
+        Args:
+            now_s: wall time, s.
+            received: how many wrenches came so far.
+            wrench: (6,), the newest, N and N.m; None: none came.
+            angles: (k,), the newest of the turning joints, rad; None: none came.
+
+        Returns:
+            Words that follow the topic's name; empty while it may be a live one.
+
         """
         if self._frozen_s <= 0.0 or wrench is None or angles is None:
             return ""
@@ -79,7 +92,12 @@ class LateWatch:
     """Compares arrivals with stamps. A lateness that lasts is the normal one after 10 s at most."""
 
     def __init__(self, late_s: float = LATE_S) -> None:
-        """`late_s`: so much longer than the fastest may a wrench take; 0: not watched."""
+        """Start before the first wrench.
+
+        Args:
+            late_s: so much longer than the fastest may a wrench take, s; 0: not watched.
+
+        """
         self.on = late_s > 0.0
         self.count = 0
         """How many were late."""
@@ -97,7 +115,13 @@ class LateWatch:
         self._turned_s: float | None = None
 
     def push(self, arrival_s: float, stamp_ns: int) -> None:
-        """Take a wrench; `arrival_s` by a clock that is never set, such as the monotonic one."""
+        """Take a wrench.
+
+        Args:
+            arrival_s: when it came, s, by a clock that is never set, such as the monotonic one.
+            stamp_ns: its stamp, ns, by the driver's clock.
+
+        """
         if not self.on:
             return
         stamp_s = stamp_ns * 1e-9
@@ -113,7 +137,12 @@ class LateWatch:
             self.worst_s = max(self.worst_s, took_s - self._limit_s + self._late_s)
 
     def tick(self, now_s: float) -> None:
-        """Let go of what is too old; call it a few times a second."""
+        """Let go of what is too old; call it a few times a second.
+
+        Args:
+            now_s: wall time, s, by the clock of `push`.
+
+        """
         if self.count > self._reported:
             self._reported, self._reported_s = self.count, now_s
         if self._turned_s is None:
@@ -124,7 +153,16 @@ class LateWatch:
             self._limit_s = self._before_s + self._late_s
 
     def trouble(self, now_s: float, hold_s: float) -> str:
-        """Return what was late, in words, for so long after the last one; else empty."""
+        """Return what was late.
+
+        Args:
+            now_s: wall time, s, by the clock of `push`.
+            hold_s: how long after the last late one it is reported, s.
+
+        Returns:
+            Words; empty: nothing was late so recently.
+
+        """
         if now_s - self._reported_s >= hold_s:
             return ""
         return (
@@ -137,7 +175,12 @@ class Publishers:
     """The publishers of one topic, as they come and go."""
 
     def __init__(self, topic: str) -> None:
-        """`topic` as it is called in sentences."""
+        """Start with no publisher.
+
+        Args:
+            topic: as it is called in sentences.
+
+        """
         self._topic = topic
         self._names: tuple[str, ...] = ()
         self.listed = 0
@@ -153,11 +196,20 @@ class Publishers:
         return self.listed - self.quiet
 
     def changed(self, listed: int, came: int, silent: bool, now_s: float) -> str:
-        """Take what discovery says: `listed` now, `came` of them new; returns why to start anew.
+        """Take what discovery reports.
 
-        `silent`: whether those listed before had stopped sending. A first publisher is no restart:
-        its first samples may even have come before. Nor is it one when a quiet publisher goes:
-        what came since is from another one.
+        A first publisher is no restart: its first samples may even have come before. Nor is it one
+        when a quiet publisher goes: what came since is from another one.
+
+        Args:
+            listed: how many publishers there are now.
+            came: how many of these are new.
+            silent: whether those listed before had stopped sending.
+            now_s: wall time, s.
+
+        Returns:
+            Why to start anew; empty: no need.
+
         """
         before = self.listed
         gone = before + came - listed
@@ -178,7 +230,12 @@ class Publishers:
         self.quiet = 0
 
     def name(self, nodes: Sequence[str]) -> None:
-        """Say which nodes they are, by full names."""
+        """Take the names of their nodes.
+
+        Args:
+            nodes: full names, one a publisher.
+
+        """
         self._names = tuple(nodes)
 
     @property

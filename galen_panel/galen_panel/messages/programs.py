@@ -53,7 +53,15 @@ class Program:
     lacks: tuple[str, ...] = ()
 
     def start(self, state: SuiteState) -> str:
-        """Return the command that starts it, with the panel's arm, names and directory of tools."""
+        """Return the command that starts it, with the panel's arm, names and directory of tools.
+
+        Args:
+            state: with the panel's own ROS arguments.
+
+        Returns:
+            A line for a shell.
+
+        """
         given = [
             word
             for flag, text in state.ros_arguments
@@ -64,7 +72,15 @@ class Program:
         return shlex.join(["ros2", "run", self.package, self.executable, *ros])
 
     def absent(self, state: SuiteState) -> str:
-        """Say that it is missing, and what to do."""
+        """Return that it is missing, and what to do.
+
+        Args:
+            state: with the panel's own ROS arguments.
+
+        Returns:
+            Sentences for an operator.
+
+        """
         return f"{self.executable} isn't running. Start it: {self.start(state)}"
 
 
@@ -128,27 +144,60 @@ NAMES = {
 
 
 def missing(state: SuiteState, name: str) -> str:
-    """Say what to do where that service or action isn't there; empty where it is."""
+    """Return what to do where a service or action isn't there.
+
+    Args:
+        state: with what is available.
+        name: of the service or action, a key of `OFFERED_BY`.
+
+    Returns:
+        Sentences for an operator; empty where it is there.
+
+    """
     return "" if name in state.available else OFFERED_BY[name].absent(state)
 
 
 def title(behaviour: Behaviour) -> str:
-    """Name a behaviour, such as "Calibration of pointer"."""
+    """Name a behaviour, such as "Calibration of pointer".
+
+    Args:
+        behaviour: under way, or ended.
+
+    Returns:
+        Its kind, and its tool where that is known.
+
+    """
     joined = "with" if behaviour.kind is BehaviourKind.COLLECT else "of"
     name = NAMES[behaviour.kind]
     return f"{name} {joined} {behaviour.tool}" if behaviour.tool else name
 
 
 def running(state: SuiteState) -> Behaviour | None:
-    """Return the running behaviour, the newest of several."""
+    """Return the running behaviour, the newest of several.
+
+    Args:
+        state: with the behaviours.
+
+    Returns:
+        The behaviour; None where none runs.
+
+    """
     under_way = [behaviour for behaviour in state.behaviours.values() if behaviour.running]
     return max(under_way, key=lambda behaviour: behaviour.number, default=None)
 
 
 def cannot_start(state: SuiteState, kind: BehaviourKind) -> str:
-    """Say why a behaviour can't be started now and what to do; empty where it can.
+    """Return why a behaviour can't be started now and what to do.
 
     A node rejects a second goal of its own; another node's at the same arm would end both.
+
+    Args:
+        state: with the behaviours, and what is available.
+        kind: of the behaviour to start.
+
+    Returns:
+        Sentences for an operator; empty where it can.
+
     """
     other = running(state)
     if other is not None:
@@ -159,7 +208,18 @@ def cannot_start(state: SuiteState, kind: BehaviourKind) -> str:
 def before_calibration(
     state: SuiteState, *, one_sweep: bool, by_hand: bool, hand_guided: bool = False
 ) -> list[str]:
-    """List what a person must know before the arm moves: how long, and a clear area."""
+    """List what a person must know before the arm moves: how long, and a clear area.
+
+    Args:
+        state: with the arm, and the calibration node's report, which has the sweep's duration.
+        one_sweep: whether there is one sweep alone, with the tool on.
+        by_hand: whether an operator takes the tool off and puts it on.
+        hand_guided: whether an operator moves the arm.
+
+    Returns:
+        Sentences.
+
+    """
     if hand_guided:
         return [
             "The arm is not moved: turn the wrist to many orientations, let go of the tool, and"
@@ -210,14 +270,32 @@ class Words:
 
 
 def others(state: SuiteState) -> list[NodeReport]:
-    """List reports of other nodes, such as a recorder, or those of another arm; by name."""
+    """List reports of other nodes, such as a recorder, or those of another arm.
+
+    Args:
+        state: with all nodes' reports.
+
+    Returns:
+        The reports, sorted by the node's name.
+
+    """
     known = {state.full_name(program.node) for program in PROGRAMS}
     rest = (report for report in state.nodes.values() if report.name not in known)
     return sorted(rest, key=lambda report: report.name)
 
 
 def words_of(state: SuiteState, program: Program, now_s: float) -> Words:
-    """Say what a program's node is doing. now_s: time.monotonic()."""
+    """Describe what a program's node is doing.
+
+    Args:
+        state: with the node's report.
+        program: one of `PROGRAMS`.
+        now_s: time.monotonic(), s.
+
+    Returns:
+        The words.
+
+    """
     report = state.report_of(program.node)
     if report is None or _silent(report, program, now_s):
         return _absent(state, program, report, now_s)
@@ -230,7 +308,16 @@ def words_of(state: SuiteState, program: Program, now_s: float) -> Words:
 
 
 def words_of_other(report: NodeReport, now_s: float) -> Words:
-    """Say what a node that is none of `PROGRAMS` is doing: its own message."""
+    """Describe what a node that is none of `PROGRAMS` is doing: its own message.
+
+    Args:
+        report: the node's newest.
+        now_s: time.monotonic(), s.
+
+    Returns:
+        The words.
+
+    """
     silent_s = now_s - report.heard_s
     if silent_s > SILENT_S:
         return Words(
@@ -246,7 +333,17 @@ def _silent(report: NodeReport, program: Program, now_s: float) -> bool:
 
 
 def compensates(state: SuiteState, now_s: float) -> bool:
-    """Return whether compensated wrenches go out; switched on is not enough."""
+    """Return whether compensated wrenches go out; switched on is not enough.
+
+    Args:
+        state: with the active tool, and gravcomp's report.
+        now_s: time.monotonic(), s.
+
+    Returns:
+        True where a tool is active and switched on, and gravcomp is neither silent nor in a state
+        that stops it.
+
+    """
     active_tool = state.active_tool
     wanted = active_tool is not None and active_tool.enabled and bool(active_tool.tool)
     return wanted and not words_of(state, GRAVCOMP, now_s).stopped
@@ -264,7 +361,16 @@ _SETUP = {
 
 
 def setup_sentence(state: SuiteState, now_s: float) -> str:
-    """Say whether readings at rest fit axes, signs and units; empty where gravcomp is silent."""
+    """Describe whether readings at rest fit axes, signs and units.
+
+    Args:
+        state: with gravcomp's report.
+        now_s: time.monotonic(), s.
+
+    Returns:
+        Sentences; empty where gravcomp is silent.
+
+    """
     report = state.report_of(GRAVCOMP.node)
     if report is None or _silent(report, GRAVCOMP, now_s):
         return ""
@@ -273,7 +379,16 @@ def setup_sentence(state: SuiteState, now_s: float) -> str:
 
 
 def overall(state: SuiteState, now_s: float) -> tuple[NodeLevel, str]:
-    """Choose the worst report; compensation that puts out nothing goes first."""
+    """Choose the worst report; compensation that puts out nothing goes first.
+
+    Args:
+        state: with all nodes' reports.
+        now_s: time.monotonic(), s.
+
+    Returns:
+        Level and sentence.
+
+    """
     words = {program: words_of(state, program, now_s) for program in PROGRAMS}
     own = words[GRAVCOMP]
     if own.stopped:
@@ -369,7 +484,17 @@ def _by_state(
 
 
 def find_advice(node: str, state: str, level: NodeLevel) -> Advice | None:
-    """Return the words for a state's name; None where there are none."""
+    """Return the words for a state's name.
+
+    Args:
+        node: the node's name without a namespace.
+        state: the value `state` of its report.
+        level: of its report.
+
+    Returns:
+        The words; None where there are none.
+
+    """
     known = ADVICE.get(node, {})
     advice = known.get(f"{state} {level.name.lower()}", known.get(state))
     if advice is not None or node not in OUTPUT:

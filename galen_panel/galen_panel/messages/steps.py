@@ -26,7 +26,16 @@ class Step(NamedTuple):
 
 
 def steps(state: SuiteState, now_s: float) -> tuple[Step, ...]:
-    """Return the steps in their order. now_s: time.monotonic()."""
+    """Return the guide's steps in their order.
+
+    Args:
+        state: that they are judged by.
+        now_s: time.monotonic(), s.
+
+    Returns:
+        Connect, check, calibrate, verify, use.
+
+    """
     return (
         _connect(state, now_s),
         _check(state, now_s),
@@ -37,7 +46,15 @@ def steps(state: SuiteState, now_s: float) -> tuple[Step, ...]:
 
 
 def current(found: tuple[Step, ...]) -> int:
-    """Return the number of the first step that isn't done; of all where all are."""
+    """Return the number of the first step that isn't done.
+
+    Args:
+        found: the steps, as `steps` returns them.
+
+    Returns:
+        The number, from 0; that of the steps where all are done.
+
+    """
     return next((number for number, step in enumerate(found) if not step.done), len(found))
 
 

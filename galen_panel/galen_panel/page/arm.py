@@ -201,12 +201,29 @@ class ArmObject(Object3D, component="arm_object.js"):
         super().__init__(parts)
 
     def place(self, placement: Placement, timeout_s: float) -> AwaitableResponse:
-        """Move the parts; awaited, it is True once that is done, None without a picture."""
+        """Move the parts.
+
+        Args:
+            placement: as `place` returns it.
+            timeout_s: how long to wait for the browser's answer, s.
+
+        Returns:
+            To be awaited; it is True once that is done, None without a picture.
+
+        """
         return self.run_method("place", placement, timeout=timeout_s)
 
 
 def parts(drawing: Drawing) -> list[Part]:
-    """List all parts: name and shapes, each with kind, sizes (m), place, colour, opacity."""
+    """List all parts of the drawing.
+
+    Args:
+        drawing: an arm and the shapes of its links.
+
+    Returns:
+        Name and shapes of each part; each shape with kind, sizes (m), place, colour, opacity.
+
+    """
     found = []
     # The last piece is the tool, from sensor to tip.
     for piece, shapes in enumerate([*drawing.links, ()]):
@@ -233,11 +250,21 @@ def place(
     deflection: Array | None,
     wrench: Array | None,
 ) -> Placement:
-    """Return where the parts are; None for one that isn't to be seen.
+    """Return where the parts are.
 
-    joints (n,), m and rad; tip_m, com_m (3,) and wrench (6,), N and N.m, in the sensor's frame;
-    deflection (6,) of the tip in the base's frame, m and rad, as it is to be shown. None where
-    there is none.
+    Args:
+        drawing: as for `parts`.
+        joints: (n,), m and rad.
+        tip_m: the tool's tip (3,) in the sensor's frame, m; zeros without a tool.
+        com_m: the tool's centre of mass (3,) in the sensor's frame, m; None without a tool.
+        deflection: (6,) of the tip in the base's frame, m and rad, exaggerated as it is to be
+            shown; None: there is none.
+        wrench: (6,) in the sensor's frame, N and N.m; None: there is none.
+
+    Returns:
+        Place by the part's name, in the base's frame: x, y, z (m), quaternion x, y, z, w and, of a
+        stretched part, its length (m); None for one that isn't to be seen.
+
     """
     arm = drawing.arm
     rotation, sensor = arm.sensor_pose(joints)
@@ -273,9 +300,16 @@ def place(
 
 
 def middle_and_size(arm: Arm) -> tuple[Array, float]:
-    """Return the middle (3,) and the size of what is to be seen, m.
+    """Return the middle and the size of what is to be seen.
 
     Of an arm on rods what it takes up at home; a serial arm goes wherever its limits let it.
+
+    Args:
+        arm: to be drawn.
+
+    Returns:
+        Middle (3,) in the base's frame, m; size, m.
+
     """
     joints = arm.home[None]
     if arm.delta is None:

@@ -25,7 +25,12 @@ _REASONS = 4
 
 
 def build(page: Page) -> None:
-    """Draw a card for each."""
+    """Draw a card for each behaviour.
+
+    Args:
+        page: the browser's, that it is drawn on.
+
+    """
     with ui.element("section").classes("panel-section").props("aria-label=Behaviours"):
         with ui.row().classes("panel-head"):
             heading("Behaviours")
@@ -231,7 +236,15 @@ class CalibrationOptions:
             ]
 
     def goal(self, tool: str) -> Goal | None:
-        """Return what was chosen, for a tool; None where a field complains."""
+        """Return what was chosen.
+
+        Args:
+            tool: the tool's name.
+
+        Returns:
+            The goal; None where a field shows an error.
+
+        """
         values = [field.value for field in self._tip]
         given = [value is not None for value in values]
         if any(given):
@@ -250,7 +263,15 @@ class CalibrationOptions:
         )
 
     def before(self, state: SuiteState) -> list[str]:
-        """List what a person must know before the arm moves."""
+        """List what a person must know before the arm moves.
+
+        Args:
+            state: as for `programs.before_calibration`.
+
+        Returns:
+            Sentences, for what is chosen now.
+
+        """
         return programs.before_calibration(
             state,
             one_sweep=bool(self._one_sweep.value),
@@ -259,7 +280,12 @@ class CalibrationOptions:
         )
 
     def update(self, state: SuiteState) -> None:
-        """Choose by hand where no driver changes the tool by itself."""
+        """Choose by hand where no driver changes the tool by itself.
+
+        Args:
+            state: with what is available.
+
+        """
         can_choose = _SERVICE in state.available
         if can_choose != self._can_choose:
             self._can_choose = can_choose

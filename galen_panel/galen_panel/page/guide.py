@@ -21,7 +21,12 @@ _BUTTONS = {"Calibrate": "Calibrate a tool", "Verify": "Check the tool", "Use": 
 
 
 def build(page: Page) -> None:
-    """Draw it; it opens by itself until a wrench was compensated once."""
+    """Draw the guide; it is open until a wrench was compensated once, then folds by itself.
+
+    Args:
+        page: the browser's, that it is drawn on.
+
+    """
     with ui.element("section").classes("panel-section").props("aria-label=Guide"):
         _Guide(page)
 

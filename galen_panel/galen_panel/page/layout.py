@@ -58,7 +58,12 @@ addEventListener("DOMContentLoaded", () => {
 
 
 def build(page: Page) -> None:
-    """Draw the page."""
+    """Draw the page.
+
+    Args:
+        page: the browser's, that it is drawn on.
+
+    """
     ui.add_css(STYLE)
     ui.add_body_html(_LOST)
     ui.dark_mode(None)  # as the browser's own setting
@@ -102,7 +107,12 @@ def _keep_tab(tabs: ui.tabs) -> None:
 
 
 def build_compensation(page: Page) -> None:
-    """Draw the active tool, the switch of the compensation, and tare."""
+    """Draw the active tool, the switch of the compensation, and tare.
+
+    Args:
+        page: the browser's, that it is drawn on.
+
+    """
     _active_tool(page)
     _enable(page)
     _tare(page)
@@ -192,7 +202,12 @@ def _tare_text(active_tool: LoadedTool | None) -> str:
 
 
 def build_lamp(page: Page) -> None:
-    """Draw the worst report of all nodes, in plain words."""
+    """Draw the worst report of all nodes, in plain words.
+
+    Args:
+        page: the browser's, that it is drawn on.
+
+    """
     with ui.row().classes("panel-lamp") as lamp:
         lamp.props("role=status aria-live=polite data-testid=lamp")
         icon = ui.icon("help").props("aria-hidden=true")
@@ -211,7 +226,12 @@ def build_lamp(page: Page) -> None:
 
 
 def build_running(page: Page) -> None:
-    """Draw a strip for each behaviour that runs: how far it is, what it asks, and cancel."""
+    """Draw a strip for each behaviour that runs: how far it is, what it asks, and cancel.
+
+    Args:
+        page: the browser's, that it is drawn on.
+
+    """
     strips: dict[int, _Strip] = {}
     with ui.column().classes("panel-strips") as place:
         place.set_visibility(False)
@@ -279,7 +299,15 @@ class _Strip:
 
 
 def title(behaviour: Behaviour) -> str:
-    """Title a behaviour, such as "Calibration of pointer: sweep with tool"."""
+    """Title a behaviour, such as "Calibration of pointer: sweep with tool".
+
+    Args:
+        behaviour: under way.
+
+    Returns:
+        Its kind, tool and phase.
+
+    """
     text = programs.title(behaviour)
     if not behaviour.ours:
         text += " (started elsewhere)"
@@ -287,13 +315,30 @@ def title(behaviour: Behaviour) -> str:
 
 
 def count(behaviour: Behaviour) -> str:
-    """Write "12 of 112 poses"; empty before the number is known."""
+    """Write "12 of 112 poses".
+
+    Args:
+        behaviour: under way.
+
+    Returns:
+        The text; empty before the number is known.
+
+    """
     units = "pushes" if behaviour.kind is BehaviourKind.COLLECT else "poses"
     return f"{behaviour.done} of {behaviour.total} {units}" if behaviour.total else ""
 
 
 def question(asked: Asked, tool: str) -> tuple[str, str]:
-    """Return what a person is asked to do, and the answer's button."""
+    """Return what a person is asked to do.
+
+    Args:
+        asked: the step that the behaviour waits for.
+        tool: its name; empty: unknown.
+
+    Returns:
+        The sentence, and the text of the button that answers it.
+
+    """
     if asked == "REMOVE_TOOL":
         return "Take the tool off, then press.", "The tool is off"
     return f"Put {tool or 'the tool'} on, then press.", "The tool is on"

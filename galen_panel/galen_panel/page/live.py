@@ -56,7 +56,13 @@ _CURVES: tuple[Callable[[Array], Array], ...] = (wrench_curves, wrench_curves, d
 
 
 def build(page: Page, shown: Callable[[], bool]) -> None:
-    """Draw it; `shown` says whether its tab is open."""
+    """Draw plots and arm.
+
+    Args:
+        page: the browser's, that it is drawn on.
+        shown: returns whether its tab is open.
+
+    """
     ui.add_css(_HERE / "live.css")
     for script in ("live.js", "plots.js"):
         ui.add_head_html(f"<script>{(_HERE / script).read_text()}</script>")

@@ -28,7 +28,12 @@ _COLOURS = " ".join({colour for _, colour, _ in (*_LAMPS.values(), _NOT_RUNNING)
 
 
 def build(page: Page) -> None:
-    """Draw a card for each program, and one for each other node that tells its state."""
+    """Draw a card for each program, and one for each other node that reports its state.
+
+    Args:
+        page: the browser's, that it is drawn on.
+
+    """
     ui.add_css(_STYLE)
     ui.label("What each node is doing").classes("text-h5")
     with ui.element("div").classes("panel-columns"):

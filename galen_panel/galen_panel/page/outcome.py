@@ -48,7 +48,16 @@ REPLACED = "The file is another one by now: this calibration was discarded or re
 
 
 def title_and_level(kind: BehaviourKind, outcome: BehaviourOutcome) -> tuple[str, str]:
-    """Title an outcome and give its level: positive, warning or negative."""
+    """Title an outcome and give its level.
+
+    Args:
+        kind: of the behaviour.
+        outcome: its end.
+
+    Returns:
+        Title; level: positive, warning or negative.
+
+    """
     if outcome.error:
         return _ENDS.get(outcome.error, ("It failed", "negative"))
     if kind is not BehaviourKind.CHECK:
@@ -58,14 +67,30 @@ def title_and_level(kind: BehaviourKind, outcome: BehaviourOutcome) -> tuple[str
 
 
 def sentence_of(outcome: BehaviourOutcome) -> str:
-    """Return the sentence without commands for a terminal: the page has buttons."""
+    """Return the sentence without commands for a terminal: the page has buttons.
+
+    Args:
+        outcome: a behaviour's end.
+
+    Returns:
+        The sentence.
+
+    """
     return texts.sentence(outcome.text.replace(f": {TARE_COMMAND}", ""), outcome.tool)
 
 
 def fate(outcome: BehaviourOutcome, state: SuiteState) -> str:
-    """Describe where a calibration's file is now: HERE, ACTIVE or REPLACED, from any page.
+    """Describe where a calibration's file is now, from any page.
 
     A file is known by mass and centre, which are written with all their digits.
+
+    Args:
+        outcome: of a calibration that came to its end.
+        state: with the list of tools, and the active tool.
+
+    Returns:
+        HERE, ACTIVE or REPLACED.
+
     """
     found = next((tool for tool in state.tools or () if tool.name == outcome.tool), None)
     if found is None or found.problem or not _is(outcome, found.mass_kg, found.com_m):
@@ -77,7 +102,15 @@ def fate(outcome: BehaviourOutcome, state: SuiteState) -> str:
 
 
 def load_rows(outcome: BehaviourOutcome) -> list[list[str]]:
-    """Write mass and centre that a calibration found, as texts: name, value."""
+    """Write mass and centre that a calibration found.
+
+    Args:
+        outcome: of a calibration that came to its end.
+
+    Returns:
+        Rows of texts: name, value with its standard deviation.
+
+    """
     values = outcome.values
     com, com_std = _vector(values, "com_m"), _vector(values, "com_std_m")
     rows = [["mass", texts.mass(_number(values, "mass_kg"), _number(values, "mass_std_kg"))]]
@@ -87,7 +120,15 @@ def load_rows(outcome: BehaviourOutcome) -> list[list[str]]:
 
 
 def left_out(outcome: BehaviourOutcome) -> list[str]:
-    """List poses or pushes that were not used, with their reasons."""
+    """List poses or pushes that were not used, with their reasons.
+
+    Args:
+        outcome: a behaviour's end.
+
+    Returns:
+        A text for each.
+
+    """
     found = outcome.values.get("poses_rejected") or outcome.values.get("left_out") or ()
     return [str(text) for text in found] if isinstance(found, Sequence) else []
 
@@ -127,7 +168,12 @@ class OutcomeView:
                     ui.label("\n".join(reasons)).classes("panel-lines")
 
     def update(self, state: SuiteState) -> None:
-        """Follow the state with the buttons."""
+        """Follow the state with the buttons.
+
+        Args:
+            state: the newest.
+
+        """
         if self._file is not None:
             self._file.update(state)
 
@@ -160,7 +206,12 @@ class FileNotice:
         ui.timer(0.0, self._look, once=True)
 
     def update(self, state: SuiteState) -> None:
-        """Follow the state: another browser may have kept or discarded it."""
+        """Follow the state: another browser may have kept or discarded it.
+
+        Args:
+            state: the newest.
+
+        """
         now = fate(self._outcome, state)
         replaced = now == REPLACED
         # The list is from before the calibration until it has been read again.
@@ -218,7 +269,14 @@ _THE_SAME = "the same"
 
 
 def draw_comparison(comparison: ToolComparison, before: str, after: str) -> None:
-    """Draw what differs. before, after: what the two files, a and b, are called here."""
+    """Draw what differs between two calibration files.
+
+    Args:
+        comparison: of files a and b.
+        before: what file a is called here.
+        after: what file b is called here.
+
+    """
     size = texts.size(comparison.worst_force_n, comparison.worst_torque_nm)
     ui.label(f"What is compensated differs by at most {size}, over all poses.").classes(
         "panel-lead"
@@ -234,7 +292,15 @@ def draw_comparison(comparison: ToolComparison, before: str, after: str) -> None
 
 
 def is_shown(row: QuantityDifference) -> bool:
-    """Return whether a quantity is mass or centre, or another one that differs."""
+    """Return whether a quantity is mass or centre, or another one that differs.
+
+    Args:
+        row: of a comparison.
+
+    Returns:
+        True where its row is to be drawn.
+
+    """
     return row.quantity in _LOAD or not row.text.startswith(_THE_SAME)
 
 

@@ -49,10 +49,14 @@ class Page:
         ui.timer(LOOK_PERIOD_S, self._look)
 
     def on_change(self, update: Callable[[SuiteState], None]) -> None:
-        """Call it now, and whenever the state is another one.
+        """Call a function now, and whenever the state is another one.
 
         It is called some times a second: it sets texts and properties that differ, and makes
         elements anew only where a list has changed, or the keyboard's focus would be lost.
+
+        Args:
+            update: takes the newest state.
+
         """
         self._updates.append(update)
         update(self.suite.state)
@@ -61,6 +65,11 @@ class Page:
         """Enable an element, or disable it with the reason as its title.
 
         What waits for an answer takes no second click until that has come, nevertheless.
+
+        Args:
+            element: a button or a field.
+            why_not: the reason; empty: it is enabled.
+
         """
         if self._rejected.get(element.id) == why_not:
             return
@@ -74,10 +83,17 @@ class Page:
 
     @contextmanager
     def waiting(self, *elements: DisableableElement) -> Iterator[bool]:
-        """Let the elements take no input within it, and buttons turn; False: one waits already.
+        """Let elements take no input within it, and buttons turn.
 
         Two clicks may be on their way before the browser hears of it. A button isn't disabled: it
         would lose the keyboard's focus.
+
+        Args:
+            *elements: buttons and fields.
+
+        Yields:
+            False where one of them waits already, and nothing is to be done.
+
         """
         if any(element.id in self._waiting for element in elements):
             yield False
@@ -103,8 +119,15 @@ class Page:
     async def ask(self, work: Awaitable[CallAnswer], *elements: DisableableElement) -> CallAnswer:
         """Wait for an answer and show it; the elements take no input meanwhile.
 
-        Where one of them waits for an answer already, `work` is not done. A failure of the panel
-        itself is an answer, too.
+        A failure of the panel itself is an answer, too.
+
+        Args:
+            work: to be awaited; not done where one of the elements waits for an answer already.
+            *elements: buttons and fields.
+
+        Returns:
+            The answer.
+
         """
         with self.waiting(*elements) as free:
             if not free:
@@ -123,6 +146,10 @@ class Page:
         """Show an answer for as long as it takes to read it; an error until it is closed.
 
         Nothing is shown where the browser has gone meanwhile.
+
+        Args:
+            answer: of the suite, or of the panel itself.
+
         """
         if self.client.is_deleted:
             return
@@ -140,7 +167,12 @@ class Page:
             )
 
     def complain(self, text: str) -> None:
-        """Show what is missing before something can be asked for."""
+        """Show what is missing before something can be asked for.
+
+        Args:
+            text: a sentence.
+
+        """
         self.tell(CallAnswer(False, text))
 
     def _look(self) -> None:
@@ -158,9 +190,15 @@ class Page:
 
 @contextmanager
 def dialog(page: Page, title: str) -> Iterator[ui.dialog]:
-    """Draw a dialog with a title, gone from the page when it is left; await what it yields.
+    """Draw a dialog with a title, gone from the page when it is left.
 
-    Escape closes it, which is None for who awaits it.
+    Args:
+        page: the browser's, that it is drawn on.
+        title: also the dialog's name for a screen reader.
+
+    Yields:
+        The dialog, to be awaited: what it is submitted with, None where Escape or Cancel closes it.
+
     """
     with page.client, ui.dialog() as shown, ui.card().classes("panel-dialog"):
         shown.props["aria-label"] = title
@@ -173,7 +211,18 @@ def dialog(page: Page, title: str) -> Iterator[ui.dialog]:
 
 
 def buttons(shown: ui.dialog, text: str, icon: str, color: str = "primary") -> ui.button:
-    """Draw a dialog's last line: cancel, and a button `text`, which has no handler yet."""
+    """Draw a dialog's last line: cancel, and the button that goes on.
+
+    Args:
+        shown: the dialog, which cancel closes.
+        text: of the button that goes on.
+        icon: of that button.
+        color: of that button.
+
+    Returns:
+        That button, which has no handler yet.
+
+    """
     with ui.row().classes("panel-actions"):
         ui.button("Cancel", on_click=shown.close).props("flat data-testid=dialog-cancel")
         return ui.button(text, icon=icon, color=color).props("unelevated data-testid=dialog-ok")
@@ -182,7 +231,20 @@ def buttons(shown: ui.dialog, text: str, icon: str, color: str = "primary") -> u
 async def confirmed(
     page: Page, title: str, sentences: list[str], text: str, icon: str, color: str = "negative"
 ) -> bool:
-    """Ask whether to do it; `text` is the button that says yes."""
+    """Ask a person whether to do something.
+
+    Args:
+        page: the browser's, that the dialog is drawn on.
+        title: the question.
+        sentences: what to know before.
+        text: of the button that agrees.
+        icon: of that button.
+        color: of that button.
+
+    Returns:
+        Whether it was pressed.
+
+    """
     with dialog(page, title) as shown:
         for sentence in sentences:
             ui.label(sentence)
@@ -191,7 +253,14 @@ async def confirmed(
 
 
 def set_prop(element: ui.element, name: str, value: str | None) -> None:
-    """Set an attribute, or remove it (None); nothing is sent where it is so already."""
+    """Set an attribute, or remove it; nothing is sent where it is so already.
+
+    Args:
+        element: that has it.
+        name: of the attribute.
+        value: its text; None: to be removed.
+
+    """
     if element.props.get(name) == value:
         return
     if value is None:
@@ -201,7 +270,14 @@ def set_prop(element: ui.element, name: str, value: str | None) -> None:
 
 
 def pick_class(element: ui.element, prefix: str, word: str) -> None:
-    """Give it the class prefix + word, and remove other classes of that prefix."""
+    """Give an element one CSS class of a family, and remove the others of it.
+
+    Args:
+        element: that has the class.
+        prefix: with which the family's classes begin.
+        word: the rest of the class's name.
+
+    """
     wanted = prefix + word
     if wanted not in element.classes:
         others = [name for name in element.classes if name.startswith(prefix)]
@@ -209,12 +285,30 @@ def pick_class(element: ui.element, prefix: str, word: str) -> None:
 
 
 def heading(text: str, level: int = 2) -> ui.label:
-    """Draw a title that a screen reader finds."""
+    """Draw a title that a screen reader finds.
+
+    Args:
+        text: the title.
+        level: of the heading, as in HTML.
+
+    Returns:
+        The label.
+
+    """
     return ui.label(text).classes("panel-title").props(f'role=heading aria-level="{level}"')
 
 
 def table(headers: list[str], rows: list[list[str]]) -> ui.element:
-    """Draw a plain table of texts; the first column names its row."""
+    """Draw a plain table of texts; the first column names its row.
+
+    Args:
+        headers: of the columns; empty: none is drawn.
+        rows: texts by row and column.
+
+    Returns:
+        The table.
+
+    """
     with ui.element("table").classes("panel-table") as drawn:
         if headers:
             with ui.element("thead"), ui.element("tr"):

@@ -38,12 +38,28 @@ _DASHES = ("solid", "dashed", "dotted", "solid")
 
 
 def wrench_curves(values: Array) -> Array:
-    """Turn wrenches (n, 6) in N and N·m into N and mN·m."""
+    """Turn wrenches into the units that are plotted.
+
+    Args:
+        values: (n, 6), N and N·m.
+
+    Returns:
+        (n, 6), N and mN·m.
+
+    """
     return np.asarray(values * [1, 1, 1, 1e3, 1e3, 1e3])
 
 
 def deflection_curves(values: Array) -> Array:
-    """Turn deflections (n, 6) in m and rad into x, y, z and their size (n, 4) in mm."""
+    """Turn deflections into the curves that are plotted.
+
+    Args:
+        values: (n, 6), translation in m and rotation in rad.
+
+    Returns:
+        (n, 4): x, y, z and their size, mm.
+
+    """
     sizes = np.linalg.norm(values[:, :3], axis=1)
     return 1e3 * np.column_stack([values[:, :3], sizes])
 
@@ -70,7 +86,15 @@ def heights() -> str:
 
 
 def options(window_s: float) -> Option:
-    """Return all options, without rows: those are datasets raw, compensated, deflection."""
+    """Return all options of the chart; its datasets raw, compensated and deflection have no rows.
+
+    Args:
+        window_s: length of the time axis, s.
+
+    Returns:
+        ECharts' options.
+
+    """
     return {
         "animation": False,
         "textStyle": {"fontSize": _FONT_PX, "fontFamily": _FONT},
@@ -122,12 +146,28 @@ def options(window_s: float) -> Option:
 
 
 def time_span(span_s: float) -> Option:
-    """Return the option of another length of the time axis."""
+    """Return the option of another length of the time axis.
+
+    Args:
+        span_s: the length, s.
+
+    Returns:
+        ECharts' options, of the time axes alone.
+
+    """
     return {"xAxis": [{"min": -span_s} for _ in range(7)]}
 
 
 def look(dark: bool) -> Option:
-    """Return the colours on a dark or a light page."""
+    """Return the colours on a page.
+
+    Args:
+        dark: whether the page is dark.
+
+    Returns:
+        ECharts' options, of the colours alone.
+
+    """
     text, faint = ("#e6eaee", "#3d4852") if dark else ("#1f2933", "#d5dbe1")
     raw, compensated = ("#8397ab", "#ffb347") if dark else ("#8294a6", "#b84300")
     tip = ("#6cb8ff", "#ff8fb1", "#7ddc9a", "#ffffff") if dark else (

@@ -55,7 +55,12 @@ Open = Callable[[str], Awaitable[None]]
 
 
 def build(page: Page) -> None:
-    """Draw the list and, beside it, the picked recording, the queue and the reports."""
+    """Draw the list and, beside it, the picked recording, the queue and the reports.
+
+    Args:
+        page: the browser's, that it is drawn on.
+
+    """
     ui.add_css(_STYLE)
     with ui.element("div").classes("panel-recordings"):
         picked = _Picked(page)
@@ -252,7 +257,12 @@ class ReportList:
         ui.timer(_PERIOD_S, self._look)
 
     async def open(self, report_id: str) -> None:
-        """Show a report over the whole page."""
+        """Show a report over the whole page.
+
+        Args:
+            report_id: the report's; one that is gone is an error on the page.
+
+        """
         reports = self._page.recordings.reports
         report = reports.get(report_id)
         files = [] if report is None else list(await run_in_threadpool(reports.files, report))
@@ -338,7 +348,13 @@ def _draw(report: StoredReport, files: list[str], dialog: ui.dialog) -> None:
 
 
 def build_queue(page: Page, open_report: Open) -> None:
-    """Draw the jobs that run, wait or have ended."""
+    """Draw the jobs that run, wait or have ended.
+
+    Args:
+        page: the browser's, that it is drawn on.
+        open_report: shows the report of an id.
+
+    """
     jobs = page.recordings.jobs
     seen = -1
     lines: dict[int, _JobLine] = {}

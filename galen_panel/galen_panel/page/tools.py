@@ -24,7 +24,12 @@ from galen_panel.state.snapshot import BehaviourKind, CallAnswer, ListedTool, Lo
 
 
 def build(page: Page) -> None:
-    """Draw it."""
+    """Draw the tools.
+
+    Args:
+        page: the browser's, that it is drawn on.
+
+    """
     with ui.element("section").classes("panel-section").props("aria-label=Tools"):
         _Tools(page)
 
@@ -233,7 +238,12 @@ async def _revert_tool(page: Page, name: str, button: ui.button) -> None:
 
 
 async def new_tool(page: Page) -> None:
-    """Ask for a name and a tip, and start the calibration."""
+    """Ask for a name and a tip, and start the calibration.
+
+    Args:
+        page: the browser's, that the dialog is drawn on.
+
+    """
     with dialog(page, "New tool") as shown:
         name = ui.input("Name", validation=lambda text: _name_problem(page, text or "") or None)
         name.props("outlined autofocus data-testid=new-tool-name").classes("w-full")

@@ -47,7 +47,13 @@ OnProgress = Callable[[str, float | None], None]
 
 
 def main() -> int:
-    """Do one job; returns the exit code: 0 done, 1 failed, the last line says why."""
+    """Do one job, whose task is on standard input.
+
+    Returns:
+        The exit code: 0 done, 1 failed; the last line on standard output has the result or the
+        reason.
+
+    """
     os.nice(NICENESS)
     answers = _own_output()
     request = json.loads(sys.stdin.readline())
@@ -78,7 +84,22 @@ def evaluate(
     request: dict[str, Any],
     on_progress: OnProgress,
 ) -> dict[str, Any]:
-    """Do as the command `evaluate`; writes its JSON, its picture, and its terminal's report."""
+    """Do as the command `evaluate`; writes its JSON, its picture, and its terminal's report.
+
+    Args:
+        recording: the bag.
+        tool: calibration file, not None.
+        output: folder that exists, for what is written.
+        request: the task; its `arm` is read.
+        on_progress: called with the stage, and the share that is done, 0 to 1; None where unknown.
+
+    Returns:
+        `verdict`, `sentence` and an empty `since`.
+
+    Raises:
+        GalenError: the bag or the calibration can't be used.
+
+    """
     from galen_bags.formats.bag import open_bag, robot_description
     from galen_common.arm import ArmParameters
     from galen_gravcomp.evaluate.bag import BagJob, EvaluationSettings
@@ -123,7 +144,22 @@ def diagnose(
     request: dict[str, Any],
     on_progress: OnProgress,
 ) -> dict[str, Any]:
-    """Do as the command `diagnose`, with its report; the recording describes its own arm."""
+    """Do as the command `diagnose`, with its report; the recording describes its own arm.
+
+    Args:
+        recording: folder of the diagnosis recording.
+        tool: calibration file; None: the recording's own.
+        output: folder that exists, for what is written.
+        request: the task; its `specification` and `reference` are read.
+        on_progress: called with the stage, and the share that is done, 0 to 1; None where unknown.
+
+    Returns:
+        `verdict`, `sentence` and, in `since`, the names of the references.
+
+    Raises:
+        GalenError: the recording, the calibration or a reference can't be used.
+
+    """
     from galen_diagnosis.diagnose import Job
 
     folders = {recording: output / DIAGNOSIS_FOLDER}

@@ -79,7 +79,13 @@ class Jobs:
     """The queue and the thread that works it off."""
 
     def __init__(self, reports: Reports, command: Sequence[str] | None = None) -> None:
-        """`command`: the worker's; a test has its own."""
+        """Start with an empty queue.
+
+        Args:
+            reports: where the jobs' reports are kept.
+            command: the worker's; None: bag_worker. A test has its own.
+
+        """
         self._reports = reports
         self._command = list(command or (sys.executable, "-m", "galen_panel.recordings.bag_worker"))
         self._changed = threading.Condition()
@@ -105,7 +111,15 @@ class Jobs:
         return tuple(open_ + ended)
 
     def submit(self, wanted: Wanted) -> CallAnswer:
-        """Put it at the queue's end, unless it is there already."""
+        """Put a task at the queue's end, unless it is there already.
+
+        Args:
+            wanted: the task.
+
+        Returns:
+            Whether it is in the queue now, and a sentence.
+
+        """
         with self._changed:
             open_ = [job for job in self._jobs if not job.ended]
             if self._closing:
@@ -125,7 +139,15 @@ class Jobs:
         return CallAnswer(True, f"{wanted.recording}: begun.")
 
     def cancel(self, job_id: int) -> CallAnswer:
-        """End it, or take it out of the queue."""
+        """End a job, or take it out of the queue.
+
+        Args:
+            job_id: the job's.
+
+        Returns:
+            Whether there was something to cancel, and a sentence.
+
+        """
         with self._changed:
             job = self._find(job_id)
             if job is None or job.ended:

@@ -94,9 +94,16 @@ class Recordings:
         arm: Callable[[], Arm] = lambda: GALEN,
         specification: Sequence[str] = (),
     ) -> None:
-        """`arm()`: of the calibration files, and of recordings that don't describe theirs.
+        """Start without a search.
 
-        specification: presets and files that a diagnosis takes unless others are chosen.
+        Args:
+            bags_dir: the directory that is searched.
+            tools_dir: folder of calibration files.
+            output_dir: folder of the reports.
+            arm: returns the arm of the calibration files, and of recordings that don't describe
+                theirs.
+            specification: presets and files that a diagnosis takes unless others are chosen.
+
         """
         self._arm = arm
         self.specification = tuple(specification)
@@ -109,7 +116,15 @@ class Recordings:
         self._details: dict[str, Details] = {}
 
     def search(self, again: bool = False) -> list[FoundRecording]:
-        """Search the directory, newest first, or return what was found; as slow as the disk is."""
+        """Search the directory, or return what was found; as slow as the disk is.
+
+        Args:
+            again: whether to search although it was done.
+
+        Returns:
+            The recordings, newest first; `problem` has the reason where there are none.
+
+        """
         with self._lock:
             if self._found is None or again:
                 self._found, self.problem = find_recordings(self.bags_dir)
@@ -117,7 +132,15 @@ class Recordings:
             return self._found
 
     def matching(self, text: str) -> list[FoundRecording]:
-        """List those whose name or kind holds each word of a text; case makes no difference."""
+        """List those whose name or kind holds each word of a text; case makes no difference.
+
+        Args:
+            text: words with spaces between; empty: all recordings match.
+
+        Returns:
+            The recordings, newest first.
+
+        """
         words = text.casefold().split()
         return [
             one
@@ -126,7 +149,15 @@ class Recordings:
         ]
 
     def details(self, recording: FoundRecording) -> Details:
-        """Describe a recording by its metadata, read once until the next search."""
+        """Describe a recording by its metadata, read once until the next search.
+
+        Args:
+            recording: one that was found.
+
+        Returns:
+            Sizes and metadata.
+
+        """
         with self._lock:
             known = self._details.get(recording.id)
         if known is None:
@@ -136,7 +167,15 @@ class Recordings:
         return known
 
     def tools(self, recording_id: str) -> list[ToolChoice]:
-        """List the calibration files that fit a recording's place; reads them."""
+        """List the calibration files that fit a recording's place; reads them.
+
+        Args:
+            recording_id: the recording's.
+
+        Returns:
+            The files; none for an unknown recording.
+
+        """
         recording = self._get(recording_id)
         if recording is None:
             return []
@@ -147,7 +186,15 @@ class Recordings:
         return list(dict.fromkeys((*self.specification, *presets())))
 
     def references(self, recording_id: str) -> list[FoundRecording]:
-        """List the other diagnosis recordings, newest first: what one can be compared with."""
+        """List the other diagnosis recordings: what one can be compared with.
+
+        Args:
+            recording_id: the one that is left out.
+
+        Returns:
+            The recordings, newest first.
+
+        """
         return [one for one in self._found or () if one.parts and one.id != recording_id]
 
     def start(
@@ -159,8 +206,16 @@ class Recordings:
     ) -> CallAnswer:
         """Evaluate a bag, diagnose a diagnosis recording; ids as they were given to the browser.
 
-        specification, reference_ids: of a diagnosis, as `specifications` and `references` list
-        them.
+        Args:
+            recording_id: the recording's.
+            tool_id: the calibration file's, one of `tools`.
+            specification: of a diagnosis, some of `specifications`; where two have a number, the
+                first one's counts.
+            reference_ids: of a diagnosis, some of `references`.
+
+        Returns:
+            Whether it is in the queue now, and a sentence.
+
         """
         recording = self._get(recording_id)
         if recording is None:
@@ -201,7 +256,15 @@ class Recordings:
 
 
 def find_recordings(directory: Path) -> tuple[list[FoundRecording], str]:
-    """Search a directory: recordings, newest first, and the reason where there are none."""
+    """Search a directory for recordings.
+
+    Args:
+        directory: with all folders below it.
+
+    Returns:
+        The recordings, newest first; the reason where there are none.
+
+    """
     try:
         bags = find_bags([directory])
     except BagError as error:
@@ -214,7 +277,16 @@ def find_recordings(directory: Path) -> tuple[list[FoundRecording], str]:
 
 
 def look_at(recording: FoundRecording, directory: Path) -> Details:
-    """Read a recording's metadata; what can't be read becomes `problem`."""
+    """Read a recording's metadata.
+
+    Args:
+        recording: one that was found.
+        directory: the one that was searched; a link that leads out of it is a problem.
+
+    Returns:
+        Sizes and metadata; what can't be read becomes `problem`.
+
+    """
     root = directory.resolve()
     if not recording.parts:
         return _look_at_bag(recording.path, directory, root)
@@ -233,7 +305,16 @@ def look_at(recording: FoundRecording, directory: Path) -> Details:
 
 
 def leads_out(path: Path, root: Path) -> bool:
-    """Return whether a path, its links followed, is outside of root, which has none."""
+    """Return whether a path, its links followed, is outside of a directory.
+
+    Args:
+        path: to look at.
+        root: the directory, without links.
+
+    Returns:
+        True also where the links can't be followed.
+
+    """
     try:
         return not path.resolve().is_relative_to(root)
     except (OSError, RuntimeError):  # such as links in a circle, up to Python 3.12
@@ -243,7 +324,18 @@ def leads_out(path: Path, root: Path) -> bool:
 def tool_choices(
     recording: FoundRecording, bags_dir: Path, tools_dir: Path, arm: Arm
 ) -> list[ToolChoice]:
-    """List an arm's usable files: beside the recording, then of the two directories."""
+    """List an arm's usable calibration files.
+
+    Args:
+        recording: whose folder, and the one above, may have a `tool.json`.
+        bags_dir: its folder `tools` is read; a link that leads out of it is left out.
+        tools_dir: folder of calibration files.
+        arm: whose files they must be.
+
+    Returns:
+        The files: beside the recording, then of the two directories.
+
+    """
     choices = []
     folder = recording.path if recording.path.is_dir() else recording.path.parent
     root = bags_dir.resolve()
@@ -272,7 +364,16 @@ def tool_choices(
 
 
 def line_of(recording: FoundRecording, details: Details) -> str:
-    """When, how long, how large, in a line."""
+    """Write when, how long, how large, in a line.
+
+    Args:
+        recording: one that was found.
+        details: of it.
+
+    Returns:
+        The line.
+
+    """
     parts = [texts.date(datetime.fromtimestamp(recording.at_s, UTC).isoformat(timespec="seconds"))]
     if details.duration_s is not None:
         parts.append(f"{details.duration_s:.0f} s")

@@ -111,12 +111,28 @@ class Reports:
             return sorted(known.values(), key=lambda one: one.id, reverse=True)
 
     def get(self, report_id: str) -> StoredReport | None:
-        """Return the report of an id; None where there is none."""
+        """Return the report of an id.
+
+        Args:
+            report_id: as a browser may give it; no path is made of it.
+
+        Returns:
+            The report; None where there is none.
+
+        """
         with self._lock:
             return self._read_known().get(report_id)
 
     def begin(self) -> Path:
-        """Make a folder for a report, not listed yet. Raises GalenError."""
+        """Make a folder for a report, not listed yet.
+
+        Returns:
+            The folder.
+
+        Raises:
+            GalenError: the directory can't be written.
+
+        """
         try:
             self._directory.mkdir(parents=True, exist_ok=True)
             self._sweep()
@@ -125,9 +141,18 @@ class Reports:
             raise GalenError(f"{self._directory}: can't be written: {error.strerror}") from error
 
     def finish(self, folder: Path, fields: Mapping[str, str]) -> StoredReport:
-        """List a written folder; `fields` has StoredReport's fields but id and made_at.
+        """List a written folder.
 
-        Raises GalenError.
+        Args:
+            folder: as `begin` made it; it is renamed.
+            fields: StoredReport's fields but id and made_at.
+
+        Returns:
+            The report.
+
+        Raises:
+            GalenError: the folder can't be written.
+
         """
         at = datetime.now(UTC)
         name = f"{at.strftime('%Y%m%dT%H%M%SZ')}_{fields['kind']}_{secrets.token_hex(4)}"
@@ -144,11 +169,24 @@ class Reports:
         return report
 
     def discard(self, folder: Path) -> None:
-        """Remove what was begun and not finished."""
+        """Remove what was begun and not finished.
+
+        Args:
+            folder: as `begin` made it; after `finish`, which renames it, nothing is removed.
+
+        """
         shutil.rmtree(folder, ignore_errors=True)
 
     def files(self, report: StoredReport) -> dict[str, Path]:
-        """Return the report's files by the name that a browser asks for."""
+        """Return a report's files.
+
+        Args:
+            report: one that is listed.
+
+        Returns:
+            Path by the name that a browser asks for; no links.
+
+        """
         folder = self._directory / report.id
         if folder.is_symlink() or (folder / DIAGNOSIS_FOLDER).is_symlink():
             return {}
@@ -156,7 +194,16 @@ class Reports:
         return {n: path for n, path in paths.items() if path.is_file() and not path.is_symlink()}
 
     def response(self, report_id: str, name: str) -> Response:
-        """Answer a browser's request for a file; 404 where there is none."""
+        """Answer a browser's request for a file.
+
+        Args:
+            report_id: as the browser gives it.
+            name: of the file, as the browser gives it.
+
+        Returns:
+            The file with its headers; 404 where there is none.
+
+        """
         report = self.get(report_id)
         path = None if report is None else self.files(report).get(name)
         try:
@@ -174,7 +221,12 @@ class Reports:
         return Response(content, media_type=content_type, headers=headers)
 
     def serve(self, app: Starlette) -> None:
-        """Add the route of the reports' files, and read which reports there are."""
+        """Add the route of the reports' files, and read which reports there are.
+
+        Args:
+            app: the server's.
+
+        """
         self.all()
 
         async def answer(request: Request) -> Response:

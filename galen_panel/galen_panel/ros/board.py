@@ -46,11 +46,21 @@ class Board:
         return self._state
 
     def put(self, **changes: Any) -> None:
-        """Change fields of the state; nothing new where they are as they were."""
+        """Change fields of the state; nothing new where they are as they were.
+
+        Args:
+            **changes: values by the field's name.
+
+        """
         self.change(lambda _: changes)
 
     def put_behaviour(self, behaviour: Behaviour) -> None:
-        """Show a behaviour in place of the one of its kind."""
+        """Show a behaviour in place of the one of its kind.
+
+        Args:
+            behaviour: the newest snapshot of it.
+
+        """
 
         def changes(state: SuiteState) -> dict[str, dict[BehaviourKind, Behaviour]]:
             return {"behaviours": {**state.behaviours, behaviour.kind: behaviour}}
@@ -58,7 +68,12 @@ class Board:
         self.change(changes)
 
     def change(self, changes: Callable[[SuiteState], dict[str, Any]]) -> None:
-        """Change what `changes(state)` says; in it the state stays as it is."""
+        """Change fields of the state by what they are now.
+
+        Args:
+            changes: returns values by the field's name; while it runs the state stays as it is.
+
+        """
         with self._lock:
             old = self._state
             new = changes(old)
@@ -83,11 +98,22 @@ class Presence:
         self._next_s = 0.0
 
     def add(self, name: str, *clients: Client) -> None:
-        """`name` is there while all of the clients have their server."""
+        """Look for a name from now on.
+
+        Args:
+            name: a key of `OFFERED_BY`.
+            *clients: the name is there while all of them have their server.
+
+        """
         self._ready[name] = lambda: all(client.service_is_ready() for client in clients)
 
     def tick(self, now_s: float) -> None:
-        """Look, where it is time to."""
+        """Look, where it is time to.
+
+        Args:
+            now_s: time.monotonic(), s.
+
+        """
         if now_s < self._next_s:
             return
         self._next_s = now_s + PERIOD_S
@@ -111,7 +137,14 @@ _MOST_NODES, _MOST_VALUES, _LONGEST_KEY = 100, 200, 100
 
 
 def hear_reports(node: Node, board: Board, on_report: Callable[[NodeReport], None]) -> None:
-    """Put each node's newest report of /diagnostics on the board, and hand it to `on_report`."""
+    """Put each node's newest report of /diagnostics on the board.
+
+    Args:
+        node: that subscribes.
+        board: where the reports go.
+        on_report: called with each report, once it is on the board.
+
+    """
 
     def on_message(message: DiagnosticArray) -> None:
         now_s = time.monotonic()
@@ -181,7 +214,12 @@ class Tools:
     # In the ROS thread
 
     def tick(self, now_s: float) -> None:
-        """See whether gravcomp came or went, and ask for the list where it is time to."""
+        """See whether gravcomp came or went, and ask for the list where it is time to.
+
+        Args:
+            now_s: time.monotonic(), s.
+
+        """
         there = "gravcomp/set_tool" in self._board.state.available
         if there != self._there:
             self._there = there
@@ -252,12 +290,33 @@ class Tools:
     # In the event loop
 
     async def ask(self, name: str, request: Any, timeout_s: float | None = None) -> Any:
-        """Call one of gravcomp's services and return its response; raises CallError."""
+        """Call one of gravcomp's services.
+
+        Args:
+            name: the service's, without the node's.
+            request: the service's Request.
+            timeout_s: how long to wait for the answer, s; None: FILE_LIMIT_S.
+
+        Returns:
+            The service's Response.
+
+        Raises:
+            CallError: the service is absent, or does not answer.
+
+        """
         limit_s = FILE_LIMIT_S if timeout_s is None else timeout_s
         return await self._calls.ask(self._clients[name], request, GRAVCOMP, limit_s)
 
     async def list_tools(self) -> Any:
-        """Show the list anew and return the service's response; raises CallError."""
+        """Show the list anew.
+
+        Returns:
+            The service's Response.
+
+        Raises:
+            CallError: the service is absent, or does not answer.
+
+        """
         response = await self.ask("list_tools", ListTools.Request())
         self._show_list(response)
         return response
@@ -315,7 +374,15 @@ def _active(message: ActiveTool) -> LoadedTool:
 
 
 def comparison(response: Any) -> ToolComparison:
-    """Read the response of `compare_tools`."""
+    """Read the response of `compare_tools`.
+
+    Args:
+        response: of a success.
+
+    Returns:
+        The comparison.
+
+    """
     return ToolComparison(
         response.text,
         response.same_load,

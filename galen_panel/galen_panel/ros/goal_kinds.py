@@ -49,25 +49,67 @@ class GoalKind:
     succeeded: Callable[[Any], str]
 
     def begun(self, goal: Goal) -> str:
-        """Say for a person that a goal has begun."""
+        """Write for a person that a goal has begun.
+
+        Args:
+            goal: as it was sent.
+
+        Returns:
+            The sentence.
+
+        """
         what = goal.name or goal.tool or "the active tool"
         return f"{NAMES[self.kind]} of {what}: begun"
 
     def state_name(self, state: int) -> str:
-        """Return the name of a feedback's state; empty for an unknown one."""
+        """Return the name of a feedback's state.
+
+        Args:
+            state: its number.
+
+        Returns:
+            The name; empty for an unknown one.
+
+        """
         return self.states(state).name if state in (one.value for one in self.states) else ""
 
     def phase_text(self, state_name: str) -> str:
-        """Put a state's name into words."""
+        """Put a state's name into words.
+
+        Args:
+            state_name: as in feedback or on /diagnostics.
+
+        Returns:
+            The words; an unknown name in lower case.
+
+        """
         known = state_name in self.states.__members__
         return self.phases[self.states[state_name]] if known else state_name.lower()
 
     def asked(self, state_name: str) -> Asked | None:
-        """Return what a person does in this state, where one is to do it."""
+        """Return what a person does in a state.
+
+        Args:
+            state_name: as in feedback or on /diagnostics.
+
+        Returns:
+            The step; None where a person does nothing.
+
+        """
         return next((step for step in get_args(Asked) if step == state_name), None)
 
     def outcome(self, result: Any, tool: str, new: bool) -> BehaviourOutcome:
-        """Read a result; `new`: whether the tool had no file when the goal began."""
+        """Read a result.
+
+        Args:
+            result: the action's Result.
+            tool: the goal's.
+            new: whether the tool had no file when the goal began.
+
+        Returns:
+            The outcome.
+
+        """
         known = result.error_code in (code.value for code in self.codes)
         code = self.codes(result.error_code).name if known else f"CODE_{result.error_code}"
         ok = code == "NONE"
@@ -90,7 +132,15 @@ class GoalKind:
 
 
 def rejected_pose(feedback: Any) -> str:
-    """Return the reason where the feedback is on a pose that was not still; else empty."""
+    """Return why a pose was not still.
+
+    Args:
+        feedback: the action's Feedback.
+
+    Returns:
+        The reason; empty where the feedback is on something else.
+
+    """
     ended = len(getattr(feedback, "angles", ())) > 0
     return str(feedback.message) if ended and not feedback.accepted else ""
 

@@ -90,7 +90,19 @@ class GoalFollower:
         numbers: Iterator[int],
         on_end: Callable[[], None],
     ) -> None:
-        """`numbers`: of all behaviours; `on_end` is called when a goal has ended."""
+        """Make the action's clients and subscriptions.
+
+        Args:
+            node: that has them.
+            kind: the action.
+            board: where the behaviour is shown.
+            thread: of the node.
+            calls: where what waits for an answer is kept.
+            presence: looks whether the action's server is there.
+            numbers: of all behaviours.
+            on_end: called when a goal has ended or is lost.
+
+        """
         self._kind = kind
         self._board = board
         self._thread = thread
@@ -124,12 +136,32 @@ class GoalFollower:
     # ---- what the page asks for
 
     async def start(self, goal: Goal) -> CallAnswer:
-        """Send a goal; raises CallError, or ToolNameError."""
+        """Send a goal.
+
+        Args:
+            goal: of the follower's kind.
+
+        Returns:
+            Whether the goal was accepted, and a sentence.
+
+        Raises:
+            CallError: the server is absent, or the goal can't be sent so.
+            ToolNameError: a name can't be a file's.
+
+        """
         request = self._kind.request(goal)
         return await self._thread.ask(lambda reply: self._send_goal(goal, request, reply))
 
     async def cancel(self) -> CallAnswer:
-        """Cancel the goal under way; raises CallError."""
+        """Cancel the goal under way.
+
+        Returns:
+            Whether it is being canceled, and a sentence.
+
+        Raises:
+            CallError: the server is absent, or does not answer.
+
+        """
         return await self._thread.ask(self._cancel_followed)
 
     def _send_goal(self, goal: Goal, request: Any, reply: Reply[CallAnswer]) -> None:
@@ -288,7 +320,12 @@ class GoalFollower:
         self._end(followed, self._kind.outcome(answer.result, tool, followed.new))
 
     def tick(self, now_s: float) -> None:
-        """Look whether the server is still there, and ask again for a result that is overdue."""
+        """Look whether the server is still there, and ask again for a result that is overdue.
+
+        Args:
+            now_s: time.monotonic(), s.
+
+        """
         if now_s < self._next_look_s:
             return
         self._next_look_s = now_s + _LOOK_PERIOD_S
@@ -356,7 +393,12 @@ class GoalFollower:
         return report is not None and report.heard_s > since_s + 1.0 and not _active(report)
 
     def on_report(self, report: NodeReport) -> None:
-        """Take a node's report; it is on the board already."""
+        """Take a node's report.
+
+        Args:
+            report: any node's; it is on the board already.
+
+        """
         if report.name != self._board.state.full_name(self._kind.program.node):
             return
         self._tell_rejections(report.heard_s)

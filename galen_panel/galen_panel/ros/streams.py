@@ -44,9 +44,12 @@ Read = Callable[[bytes], tuple[int, tuple[float, ...]]]
 
 
 def deflection_reader() -> Read:
-    """Read serialised DeflectionStamped: stamp (ns), translation and rotation vector (6,).
+    """Make a reader of serialised DeflectionStamped.
 
-    m and rad; raises UnreadableError.
+    Returns:
+        The reader: stamp, ns, and translation and rotation vector (6,), m and rad, in the message's
+        frame; it raises UnreadableError.
+
     """
     layout: Layout | None = None
 
@@ -61,7 +64,13 @@ def deflection_reader() -> Read:
 
 
 def wrench_reader() -> Read:
-    """Read serialised WrenchStamped: stamp (ns) and wrench (6,); raises UnreadableError."""
+    """Make a reader of serialised WrenchStamped.
+
+    Returns:
+        The reader: stamp, ns, and wrench (6,), N and N.m, in the message's frame; it raises
+        UnreadableError.
+
+    """
     wire = WrenchWire()
 
     def read(data: bytes) -> tuple[int, tuple[float, ...]]:
@@ -109,14 +118,24 @@ class Streams:
                 self._watchers -= 1
 
     def follow(self, arm: Arm) -> None:
-        """Take this arm's joints from now on, once the arm is known."""
+        """Take an arm's joints from now on, once the arm is known.
+
+        Args:
+            arm: whose n joints go into the history, in its order.
+
+        """
         self._unsubscribe()
         self._history.follow(arm)
         read = JointWire(arm.joint_names).read
         self._taps.append(_Tap("joint_states", JointState, read, self._history.joints))
 
     def tick(self, now_s: float) -> None:
-        """Begin or end to listen, and take what has come."""
+        """Begin or end to listen, and take what has come.
+
+        Args:
+            now_s: time.monotonic(), s.
+
+        """
         if self._watchers:
             self._watched_s = now_s
             if not self.listening:

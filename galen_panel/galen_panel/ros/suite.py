@@ -70,7 +70,16 @@ class RosSuite(AbstractContextManager["RosSuite"]):
     """The suite as the page sees it, by a ROS node of its own."""
 
     def __init__(self, argv: list[str], tools_dir: Path = TOOLS_DIR) -> None:
-        """`argv`: the command line, with what is ROS's; raises GalenError."""
+        """Start the panel's node in a thread of its own.
+
+        Args:
+            argv: the command line with its ROS arguments.
+            tools_dir: folder of calibration files, until gravcomp reports its own.
+
+        Raises:
+            GalenError: ROS can't be initialised, or a parameter or the arm can't be used.
+
+        """
         self._board = Board()
         self._board.put(tools_dir=str(tools_dir.expanduser().absolute()))
         self.history = History(GALEN)
@@ -170,7 +179,12 @@ class RosSuite(AbstractContextManager["RosSuite"]):
 
     @_answered
     async def list_tools(self) -> CallAnswer:
-        """Ask anew for the tools; they are then in `state`."""
+        """Ask anew for the tools; they are then in `state`.
+
+        Returns:
+            Whether it was done, and a sentence.
+
+        """
         response = await self._tools.list_tools()
         if not response.success:
             return CallAnswer(False, response.error_msg)
@@ -179,7 +193,15 @@ class RosSuite(AbstractContextManager["RosSuite"]):
 
     @_answered
     async def activate(self, tool: str) -> CallAnswer:
-        """Have gravcomp load a calibration file; "" for no tool."""
+        """Have gravcomp load a calibration file.
+
+        Args:
+            tool: its name; empty: no tool.
+
+        Returns:
+            Whether it was done, and a sentence.
+
+        """
         request = SetTool.Request(tool=check_tool_name(tool) if tool else "")
         response = await self._tools.ask("set_tool", request)
         if not response.success:
@@ -188,7 +210,15 @@ class RosSuite(AbstractContextManager["RosSuite"]):
 
     @_answered
     async def remove_tool(self, tool: str) -> CallAnswer:
-        """Remove a calibration file from the list; it is kept beside."""
+        """Remove a calibration file from the list; it is kept beside.
+
+        Args:
+            tool: its name.
+
+        Returns:
+            Whether it was done, and a sentence.
+
+        """
         request = RemoveTool.Request(tool=check_tool_name(tool))
         response = await self._tools.ask("remove_tool", request)
         if not response.success:
@@ -198,7 +228,15 @@ class RosSuite(AbstractContextManager["RosSuite"]):
 
     @_answered
     async def revert_tool(self, tool: str) -> CallAnswer:
-        """Bring back the calibration before the present one."""
+        """Bring back the calibration before the present one.
+
+        Args:
+            tool: its name.
+
+        Returns:
+            Whether it was done, and a sentence.
+
+        """
         request = RevertTool.Request(tool=check_tool_name(tool))
         response = await self._tools.ask("revert_tool", request)
         if not response.success:
@@ -211,7 +249,15 @@ class RosSuite(AbstractContextManager["RosSuite"]):
 
     @_answered
     async def compare(self, tool: str) -> ToolComparison | CallAnswer:
-        """Compare a tool's calibration (b) with its own before (a)."""
+        """Compare a tool's calibration (b) with its own before (a).
+
+        Args:
+            tool: its name.
+
+        Returns:
+            The comparison; an answer with the reason where there is none.
+
+        """
         name = check_tool_name(tool)
         request = CompareTools.Request(a=name, a_previous=True, b=name)
         response = await self._tools.ask("compare_tools", request)
@@ -219,20 +265,41 @@ class RosSuite(AbstractContextManager["RosSuite"]):
 
     @_answered
     async def set_enabled(self, enabled: bool) -> CallAnswer:
-        """Switch the compensation."""
+        """Switch the compensation.
+
+        Args:
+            enabled: whether compensated wrenches are to be published.
+
+        Returns:
+            Whether it was done, and gravcomp's sentence.
+
+        """
         request = SetBool.Request(data=enabled)
         response = await self._tools.ask("enable", request, _SWITCH_LIMIT_S)
         return CallAnswer(response.success, response.message)
 
     @_answered
     async def tare(self) -> CallAnswer:
-        """Subtract the present residual; answers when it is done."""
+        """Subtract the present residual; answers when it is done.
+
+        Returns:
+            Whether it was done, and gravcomp's sentence.
+
+        """
         response = await self._tools.ask("tare", Trigger.Request(), _TARE_LIMIT_S)
         return CallAnswer(response.success, response.message)
 
     @_answered
     async def start(self, goal: Goal) -> CallAnswer:
-        """Send a goal; answers when it is accepted or rejected."""
+        """Send a goal; answers when it is accepted or rejected.
+
+        Args:
+            goal: of any kind.
+
+        Returns:
+            Whether it was accepted, and a sentence.
+
+        """
         if goal.kind is BehaviourKind.CALIBRATE and "gravcomp/list_tools" in self.state.available:
             # Whether the tool had a file before is read from the list.
             await self._tools.list_quietly()
@@ -240,7 +307,12 @@ class RosSuite(AbstractContextManager["RosSuite"]):
 
     @_answered
     async def confirm(self) -> CallAnswer:
-        """Tell a calibration that the person has done what it asked."""
+        """Confirm to a calibration that the person has done what it asked.
+
+        Returns:
+            Whether it was waiting for that, and a sentence.
+
+        """
         response = await self._calls.ask(
             self._confirm, Trigger.Request(), CALIBRATION, _SWITCH_LIMIT_S
         )
@@ -250,7 +322,15 @@ class RosSuite(AbstractContextManager["RosSuite"]):
 
     @_answered
     async def cancel(self, kind: BehaviourKind) -> CallAnswer:
-        """Cancel a behaviour's goal, of any client; answers when that is accepted."""
+        """Cancel a behaviour's goal, of any client; answers when that is accepted.
+
+        Args:
+            kind: of the behaviour.
+
+        Returns:
+            Whether it is being canceled, and a sentence.
+
+        """
         return await self._followers[kind].cancel()
 
 

@@ -56,12 +56,22 @@ class Reply(Future[T]):
         self.set_running_or_notify_cancel()
 
     def give(self, value: T) -> None:
-        """Answer."""
+        """Answer.
+
+        Args:
+            value: the answer; dropped where there is one already.
+
+        """
         with contextlib.suppress(InvalidStateError):
             self.set_result(value)
 
     def fail(self, error: Exception) -> None:
-        """Answer with an exception."""
+        """Answer with an exception.
+
+        Args:
+            error: raised where the reply is awaited; dropped where there is an answer already.
+
+        """
         with contextlib.suppress(InvalidStateError):
             self.set_exception(error)
 
@@ -88,10 +98,20 @@ class RosThread:
         set_up: Callable[[Node], Callable[[float], None]],
         clean_up: Callable[[], None],
     ) -> None:
-        """Make the node; raises GalenError and what `set_up` raises.
+        """Make the node; all that is given runs in the thread.
 
-        `set_up(node)` makes what is on the node, and returns what is called at each beat with
-        time.monotonic(). `clean_up()` comes before the node is destroyed. Both run in the thread.
+        Args:
+            name: the node's default name.
+            argv: the command line with its ROS arguments.
+            set_up: makes what is on the node, and returns what is called at each beat with
+                time.monotonic(), s.
+            clean_up: called before the node is destroyed.
+
+        Raises:
+            GalenError: ROS can't be initialised, or rclpy rejects a parameter; what `set_up` raises
+                comes out as well.
+            TimeoutError: the node was not made in 30 s.
+
         """
         started: Reply[None] = Reply()
         work = (name, argv, set_up, clean_up, started)
@@ -100,9 +120,15 @@ class RosThread:
         started.result(_START_PATIENCE_S)
 
     def ask(self, job: Callable[[Reply[T]], None]) -> Awaitable[T]:
-        """Run `job(reply)` in the thread; await what it gives to the reply, at once or later.
+        """Run a job in the thread.
 
-        Raises what the job raises, or CallError where the thread ends before.
+        Args:
+            job: gives an answer to the reply, at once or later.
+
+        Returns:
+            To be awaited: the answer. It raises what the job raises, or CallError where the thread
+            ends before.
+
         """
         reply: Reply[T] = Reply()
         with self._lock:
@@ -198,13 +224,33 @@ class Calls:
     """Keeps what waits for an answer. Only `ask` may be called outside the ROS thread."""
 
     def __init__(self, thread: RosThread, absent: Callable[[Program], str]) -> None:
-        """`absent(program)` says what to do where a program isn't running."""
+        """Start with no call.
+
+        Args:
+            thread: that the clients belong to.
+            absent: returns what to do where a program isn't running.
+
+        """
         self._thread = thread
         self._absent = absent
         self._pending: list[_Pending] = []
 
     async def ask(self, client: Client, request: Any, program: Program, timeout_s: float) -> Any:
-        """Call a service from an event loop and return its response; raises CallError."""
+        """Call a service from an event loop.
+
+        Args:
+            client: of the service.
+            request: the service's Request.
+            program: that offers it, for the error's text.
+            timeout_s: how long to wait for the answer, s.
+
+        Returns:
+            The service's Response.
+
+        Raises:
+            CallError: the service is absent, or does not answer.
+
+        """
 
         def job(reply: Reply[Any]) -> None:
             def done(answer: Any) -> None:
@@ -225,9 +271,18 @@ class Calls:
         timeout_s: float | None,
         done: Callable[[Any], None],
     ) -> Callable[[], None]:
-        """Send, then `done(the response, or a CallError)`; returns what gives it up, unanswered.
+        """Call a service from the ROS thread.
 
-        timeout_s None: no limit.
+        Args:
+            client: of the service.
+            request: the service's Request.
+            program: that offers it, for the error's text.
+            timeout_s: how long to wait for the answer, s; None: no limit.
+            done: called with the Response or a CallError; at once where the service is absent.
+
+        Returns:
+            What gives the call up: `done` is then not called.
+
         """
         if not client.service_is_ready():
             done(CallError(self._absent(program)))
@@ -241,7 +296,12 @@ class Calls:
         return lambda: self._give_up(pending)
 
     def tick(self, now_s: float) -> None:
-        """Tell those whose time is over; now_s: time.monotonic()."""
+        """End the calls whose time is over.
+
+        Args:
+            now_s: time.monotonic(), s.
+
+        """
         for pending in list(self._pending):
             if pending.deadline_s is not None and now_s > pending.deadline_s:
                 self._give_up(pending)

@@ -58,7 +58,16 @@ class StreamSeries:
         self._lock = threading.Lock()
 
     def append(self, stamps_ns: np.ndarray, values: Array) -> None:
-        """Add rows, stamps (n,) and values (n, width); rows out of order are left out."""
+        """Add rows; those out of order are left out.
+
+        Args:
+            stamps_ns: (n,), ns.
+            values: (n, width).
+
+        Raises:
+            ValueError: the numbers of stamps and rows differ.
+
+        """
         if len(stamps_ns) != len(values):
             raise ValueError(f"{len(stamps_ns)} stamps for {len(values)} rows")
         stamps = np.asarray(stamps_ns, dtype=np.int64)
@@ -88,13 +97,29 @@ class StreamSeries:
             return self._newest() if self._count else None
 
     def last(self, seconds: float | None = None) -> StreamSamples:
-        """Copy the newest rows, as far back as `seconds` before the newest one."""
+        """Copy the newest rows.
+
+        Args:
+            seconds: as far back before the newest one, s; None: the series' own length.
+
+        Returns:
+            The rows, the oldest first.
+
+        """
         with self._lock:
             span_ns = self._span_ns if seconds is None else int(seconds * NS_PER_S)
             return self._from(self._newest() - span_ns if self._count else 0)
 
     def since(self, stamp_ns: int) -> StreamSamples:
-        """Copy the rows from this stamp on; it costs only as much as there are of them."""
+        """Copy the rows from a stamp on; it costs only as much as there are of them.
+
+        Args:
+            stamp_ns: the stamp, ns.
+
+        Returns:
+            The rows, the oldest first, none beyond the series' own length.
+
+        """
         with self._lock:
             oldest = self._newest() - self._span_ns if self._count else 0
             return self._from(max(stamp_ns, oldest))
@@ -154,7 +179,12 @@ class History:
         """In the arm's order; m, rad."""
 
     def follow(self, arm: Arm) -> None:
-        """Begin the joints anew, as another arm has them."""
+        """Begin the joints anew, as another arm has them.
+
+        Args:
+            arm: whose n joints the series has from now on.
+
+        """
         self.joints = StreamSeries(len(arm.joints))
 
 
@@ -174,7 +204,18 @@ HEADER = ",".join(
 
 
 def csv(raw: StreamSamples, compensated: StreamSamples, deflection: StreamSamples) -> bytes:
-    """Write a row a stamp, joined by equal stamps; a cell is empty where a stream has none."""
+    """Write a row a stamp, joined by equal stamps; a cell is empty where a stream has none.
+
+    Args:
+        raw: wrenches (n, 6) in the sensor's frame, N and N.m.
+        compensated: wrenches (n, 6) in the sensor's frame, N and N.m.
+        deflection: translation and rotation vector (n, 6) of the tip in the base's frame, m and
+            rad.
+
+    Returns:
+        The file's content, with `HEADER`.
+
+    """
     return "".join(_lines(raw, compensated, deflection)).encode()
 
 
@@ -197,14 +238,29 @@ def _lines(*streams: StreamSamples) -> Iterator[str]:
 
 
 def bucket_ns(span_s: float) -> int:
-    """Return a bucket's width for a window of this length."""
+    """Return a bucket's width for a window.
+
+    Args:
+        span_s: the window's length, s.
+
+    Returns:
+        The width, ns.
+
+    """
     return max(1, int(span_s * NS_PER_S) // BUCKETS)
 
 
 def plot_rows(stamps_ns: np.ndarray, values: Array, width_ns: int) -> tuple[np.ndarray, Array]:
     """Reduce to two rows or one a bucket, with a row of NaN at the end of each gap. O(n).
 
-    stamps (n,) rising, values (n, columns); returns the same of what is drawn.
+    Args:
+        stamps_ns: (n,), ns, rising.
+        values: (n, columns).
+        width_ns: the buckets' width, ns.
+
+    Returns:
+        Stamps (m,), ns, and values (m, columns) of what is drawn.
+
     """
     if not len(stamps_ns):
         return stamps_ns, values

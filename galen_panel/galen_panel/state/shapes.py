@@ -53,7 +53,15 @@ class Drawing:
     note: str
 
     def link_places(self, joints: Array) -> list[tuple[Array, Array]]:
-        """R_base_link (3, 3) and origin (3,), m, of base and links (n + 1) at joints (n,)."""
+        """Return where base and links are.
+
+        Args:
+            joints: (n,), m and rad.
+
+        Returns:
+            R_base_link (3, 3) and origin (3,), m, in the base's frame, of each of the n + 1.
+
+        """
         places = [(np.eye(3), np.zeros(3))]
         for count in range(1, len(self.links)):
             # The chain up to a joint is an arm whose "sensor" is that joint's link.
@@ -66,10 +74,18 @@ class Drawing:
 
 
 def draw(arm: Arm, *, shapes: bool = True) -> Drawing:
-    """Return an arm's drawing; meshes may take seconds to read, `shapes=False` leaves all out.
+    """Return an arm's drawing; meshes may take seconds to read.
 
-    An arm on rods, or without a description, has none. Links that joints beside the chain move are
-    left out: where they are is not known.
+    An arm on rods, or without a description, has no shapes. Links that joints beside the chain move
+    are left out: where they are is not known.
+
+    Args:
+        arm: with its description.
+        shapes: False leaves all shapes out, which is quick.
+
+    Returns:
+        The drawing; its `note` names what is not drawn.
+
     """
     links: list[list[Shape]] = [[] for _ in range(len(arm.joints) + 1)]
     if not shapes or arm.delta is not None or not arm.urdf:
@@ -201,8 +217,16 @@ def _numbers(text: str | None, count: int) -> list[float]:
 def mesh_file(reference: str) -> Path:
     """Return the file of a description's mesh, in a package or named as a whole.
 
-    Raises GalenError where it can't be had: a path that leaves its package, no such file, an ending
-    that is no mesh's, or more than 20 MB.
+    Args:
+        reference: as the description names it: package://, file:// or an absolute path.
+
+    Returns:
+        The file, links followed.
+
+    Raises:
+        GalenError: it can't be had: a path that leaves its package, no such file, an ending that is
+            no mesh's, or more than 20 MB.
+
     """
     from galen_model.arm.clearance import mesh_path
 

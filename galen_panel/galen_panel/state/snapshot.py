@@ -95,7 +95,15 @@ class NodeReport:
     period_s: float = 1.0
 
     def after(self, before: NodeReport | None) -> NodeReport:
-        """Return it with the period, given the report before."""
+        """Return the report with its period.
+
+        Args:
+            before: the same node's report before; None: there was none.
+
+        Returns:
+            A copy; the period falls slowly after a late report.
+
+        """
         if before is None:
             return self
         late_s = min(2.0, self.heard_s - before.heard_s)
@@ -185,11 +193,27 @@ class SuiteState:
         return found
 
     def full_name(self, node: str) -> str:
-        """Return the name on /diagnostics of a node in the panel's own namespace."""
+        """Return the name on /diagnostics of a node in the panel's own namespace.
+
+        Args:
+            node: its name without a namespace.
+
+        Returns:
+            The name, without a slash in front.
+
+        """
         return f"{self.namespace}/{node}".lstrip("/")
 
     def report_of(self, node: str) -> NodeReport | None:
-        """Return a node's newest report; None where there is none."""
+        """Return a node's newest report.
+
+        Args:
+            node: its name without a namespace.
+
+        Returns:
+            The report; None where there is none.
+
+        """
         return self.nodes.get(self.full_name(node))
 
 

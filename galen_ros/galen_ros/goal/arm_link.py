@@ -38,7 +38,14 @@ class ArmPublisher:
     """Sends the arm somewhere, and stops it; hears who else does."""
 
     def __init__(self, node: Node, arm: Arm, on_failed: Callable[[str], None]) -> None:
-        """`on_failed(text)`: a motion was rejected or aborted."""
+        """Offer the trajectories, and look for a server of the action.
+
+        Args:
+            node: that publishes.
+            arm: whose joints are named in the trajectories.
+            on_failed: called with a sentence when a motion was rejected or aborted.
+
+        """
         self._node = node
         self._on_failed = on_failed
         self._joint_names = list(arm.joint_names)
@@ -71,7 +78,12 @@ class ArmPublisher:
         return self._action is not None and bool(self._action.server_is_ready())
 
     def move(self, move: MoveTo) -> None:
-        """Move from rest to rest."""
+        """Move from rest to rest.
+
+        Args:
+            move: joints (n,) to come to, m and rad, and duration, s.
+
+        """
         self._moved_by_topic = not self._by_action
         if self._moved_by_topic:
             self._publish([_rest_point(move)])
@@ -81,10 +93,15 @@ class ArmPublisher:
     def stop(self, rest: MoveTo | None = None) -> None:
         """Stop in the way that the newest motion was sent, and by the topic where that is gone.
 
-        rest: where the arm comes to rest if it brakes now; None where that is not known. A
-        joint_trajectory_controller rejects a trajectory without points, and would finish the move:
-        https://github.com/ros-controls/ros2_controllers/pull/902. So the topic gets that point
+        A joint_trajectory_controller rejects a trajectory without points, and would finish the
+        move:
+        https://github.com/ros-controls/ros2_controllers/pull/902. So the topic gets the point of
+        rest
         first; then no points, by which a driver that takes it brakes as it can.
+
+        Args:
+            rest: where the arm comes to rest if it brakes now; None where that is not known.
+
         """
         self._sent += 1  # so that what is accepted later is canceled
         if self._motion is not None:
@@ -149,6 +166,10 @@ class ArmPublisher:
         """Stop, of a node that nothing spins any more; returns when that is out, and answered.
 
         Else the process could be gone before it is. It waits 0.7 s at most.
+
+        Args:
+            rest: where the arm comes to rest if it brakes now; None where that is not known.
+
         """
         self.stop(rest)
         self._publisher.wait_for_all_acked(Duration(seconds=0.2))
@@ -162,10 +183,17 @@ class ArmPublisher:
             executor.shutdown()
 
     def hear_others(self, on_command: Callable[[str], None]) -> Subscription:
-        """Call `on_command`, with a message, when another node commands the arm.
+        """Subscribe to the trajectories that other nodes send.
 
         Own commands come back over the topic as well. Their content identifies them, for rclpy
-        doesn't tell who sent a message; a stranger's that says the same does no harm.
+        doesn't name the sender of a message; another node's that has the same content does no harm.
+
+        Args:
+            on_command: called with a sentence, which names the nodes that it could be.
+
+        Returns:
+            The subscription, for the caller to destroy.
+
         """
         self._not_heard.clear()
 
@@ -205,7 +233,12 @@ class PublisherWatch:
         self._known: dict[str, frozenset[bytes]] = {}
 
     def silent(self) -> list[str]:
-        """Return the topics without a publisher."""
+        """Return the topics without a publisher.
+
+        Returns:
+            Names as they were given.
+
+        """
         return [topic for topic in self._topics if not self._node.count_publishers(topic)]
 
     def several(self) -> str:

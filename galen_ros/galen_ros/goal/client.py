@@ -67,7 +67,12 @@ class GoalClient:
     """Of the bar."""
 
     def __init__(self, options: argparse.Namespace) -> None:
-        """`options` are those of `read_options`."""
+        """Make the node and the action's client; ROS must be initialised.
+
+        Args:
+            options: those of `read_options`.
+
+        """
         self.options = options
         self.bar = ProgressLine(self.unit)
         self.node = Node(self.node_name)
@@ -80,24 +85,49 @@ class GoalClient:
         self._interrupts = 0
 
     def make_goal(self) -> Any:
-        """Return the goal to send."""
+        """Return the goal to send.
+
+        Returns:
+            The action's Goal.
+
+        """
         raise NotImplementedError
 
     def on_feedback(self, feedback: Any) -> None:
-        """Take one feedback."""
+        """Take one feedback.
+
+        Args:
+            feedback: the action's Feedback.
+
+        """
         raise NotImplementedError
 
     def while_waiting(self) -> None:
         """Do what is to be done while the goal runs, some twenty times a second."""
 
     def on_signal(self, number: int, _frame: FrameType | None) -> None:
-        """Note a Ctrl-C, or a terminal that closed; the second one does not wait for the arm."""
+        """Note a Ctrl-C, or a terminal that closed; the second one does not wait for the arm.
+
+        Args:
+            number: of the signal.
+            _frame: not used.
+
+        """
         if number == signal.SIGHUP:
             terminal_closed()
         self._interrupts += 1
 
     def run(self) -> Any:
-        """Return the action's Result; raises ClientError when there is none."""
+        """Send the goal and wait for its end.
+
+        Returns:
+            The action's Result.
+
+        Raises:
+            ClientError: there is none: no server, no answer, a rejection, an interruption, a lost
+                server.
+
+        """
         self._wait(
             self._action.server_is_ready,
             self.options.timeout_s,
@@ -202,7 +232,12 @@ class GoalClient:
 
 
 def add_client_options(parser: argparse.ArgumentParser) -> None:
-    """Add what each of these commands takes; `read_options` reads it."""
+    """Add `--json` and `--timeout-s`, which each of these commands takes, for `read_options`.
+
+    Args:
+        parser: the command's.
+
+    """
     add_json(parser)
     parser.add_argument(
         "--timeout-s", type=positive, default=10.0, help="wait so long for the node (default 10)"
@@ -214,7 +249,14 @@ def read_options(
 ) -> argparse.Namespace:
     """Read the command line; exits with code 2 and a message where it is wrong.
 
-    `names`: the options that become names of files, and what `check_tool_name` calls them.
+    Args:
+        parser: with all of the command's options.
+        arguments: the command's own, without ROS's.
+        **names: the options that become names of files, and what `check_tool_name` calls each.
+
+    Returns:
+        The options.
+
     """
     options = parser.parse_args(arguments)
     try:
@@ -227,19 +269,45 @@ def read_options(
 
 
 def result_to_dict(result: Any) -> dict[str, Any]:
-    """Return an action's result as plain numbers, texts and lists, SI units."""
+    """Return an action's result as plain numbers, texts and lists, SI units.
+
+    Args:
+        result: the action's Result, of fields that are no messages themselves.
+
+    Returns:
+        Values by the field's name.
+
+    """
     return {name: plain(getattr(result, name)) for name in result.get_fields_and_field_types()}
 
 
 def plain(value: Any) -> Any:
-    """Return a field's value as JSON takes it."""
+    """Return a field's value as JSON takes it.
+
+    Args:
+        value: of a message's field.
+
+    Returns:
+        A list for an array, else the value itself.
+
+    """
     if isinstance(value, np.ndarray):
         return value.tolist()
     return list(value) if isinstance(value, array) else value
 
 
 def report_error(name: str, code: IntEnum, message: str) -> int:
-    """Print why the goal of the command `name` failed; returns the exit code, also for none."""
+    """Print why a command's goal failed.
+
+    Args:
+        name: the command's name, which begins the line.
+        code: of the result.
+        message: the result's sentence.
+
+    Returns:
+        The exit code; EXIT_OK, and nothing printed, where the code is NONE.
+
+    """
     if code.name == "NONE":
         return EXIT_OK
     print(f"{name}: {code.name}: {message}", file=sys.stderr)
@@ -247,7 +315,18 @@ def report_error(name: str, code: IntEnum, message: str) -> int:
 
 
 def cancel_goals(name: str, client: type[GoalClient], timeout_s: float) -> NoReturn:
-    """Cancel whatever goal of a client's action runs; leave with an exit code."""
+    """Cancel whatever goal of a client's action runs; leave with an exit code.
+
+    Args:
+        name: the command's name, which begins an error's line.
+        client: names action and server; no instance is made.
+        timeout_s: how long to wait for the server, and for its answer, s of wall time.
+
+    Raises:
+        SystemExit: always; with EXIT_OK also where no goal runs.
+        GalenError: ROS can't be initialised.
+
+    """
     init_ros(sys.argv)
     node = Node(f"{client.node_name}_cancel")
     try:
@@ -281,7 +360,16 @@ def run_client(
 ) -> NoReturn:
     """Make the client, run it to its end and leave with an exit code.
 
-    `print_result(result, as_json)` returns that of a goal that came to its end.
+    Args:
+        name: the command's name, which begins an error's line.
+        make: makes the client from the options.
+        options: those of `read_options`.
+        print_result: prints the result of a goal that came to its end, as JSON where its second
+            argument is True; returns the exit code.
+
+    Raises:
+        SystemExit: always.
+
     """
     try:
         init_ros(sys.argv)

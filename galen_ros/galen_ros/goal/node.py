@@ -99,34 +99,103 @@ class ArmAction(ABC):
 
     @abstractmethod
     def make_goal(self, handle: ServerGoalHandle) -> RunningGoal:
-        """Return the goal to run; raises RejectedGoalError."""
+        """Return the goal to run.
+
+        Args:
+            handle: of the accepted goal, with its request.
+
+        Returns:
+            The goal with its procedure, not started.
+
+        Raises:
+            RejectedGoalError: the goal can't be begun.
+
+        """
 
     @abstractmethod
     def introduce(self, goal: Any) -> str:
-        """Describe in the log what begins."""
+        """Describe in the log what begins.
+
+        Args:
+            goal: as `make_goal` made it.
+
+        Returns:
+            The end of the log's line.
+
+        """
 
     @abstractmethod
     def make_end(self, code: IntEnum, message: str, goal: Any) -> End:
-        """Return an end that the procedure doesn't know of; `goal` is None without one."""
+        """Return an end that the procedure doesn't know of.
+
+        Args:
+            code: one of `codes`.
+            message: the error's sentence.
+            goal: what has come of it goes into the end; None without one.
+
+        Returns:
+            The end, of the action's own kind.
+
+        """
 
     @abstractmethod
     def make_result(self, handle: ServerGoalHandle, end: Any, goal: Any) -> tuple[Any, str]:
-        """Return the action's result, and a sentence for /diagnostics."""
+        """Return the action's result.
+
+        Args:
+            handle: of the goal, with its request.
+            end: of the action's own kind.
+            goal: as `make_goal` made it; None where it made none.
+
+        Returns:
+            The action's Result; a sentence for /diagnostics.
+
+        """
 
     @abstractmethod
     def obey(self, goal: Any, command: Any) -> None:
-        """Do what the procedure asks for, beside motion and its end."""
+        """Do what the procedure asks for, beside motion and its end.
+
+        Args:
+            goal: as `make_goal` made it.
+            command: of the procedure, none of MoveTo, Stop and End.
+
+        """
 
     def subject_of(self, request: Any) -> str:
-        """Return what a goal is about."""
+        """Return what a goal is about.
+
+        Args:
+            request: the action's Goal.
+
+        Returns:
+            The field `subject`, not checked.
+
+        """
         return str(getattr(request, self.subject))
 
     def rejection(self, request: Any) -> str:
-        """Return why this goal can't even begin; empty where it can."""
+        """Return why a goal can't even begin.
+
+        Args:
+            request: the action's Goal.
+
+        Returns:
+            A sentence; empty where it can.
+
+        """
         return ""
 
     def subscribe(self, goal: Any) -> list[Subscription]:
-        """Subscribe to what the goal hears."""
+        """Subscribe to what the goal hears.
+
+        Args:
+            goal: as `make_goal` made it.
+
+        Returns:
+            The subscriptions, which the node destroys after the goal.
+
+        """
         node, topic = self.node, goal.procedure.wrench_topic
         return [
             node.create_subscription(
@@ -140,30 +209,84 @@ class ArmAction(ABC):
         return []
 
     def needed_clients(self, goal: Any) -> list[Client]:
-        """Return the clients of the services that the goal can't do without."""
+        """Return the clients of the services that the goal can't do without.
+
+        Args:
+            goal: as `make_goal` made it.
+
+        Returns:
+            The clients.
+
+        """
         return []
 
     def find_missing(self, goal: Any) -> tuple[IntEnum, str] | None:
-        """Return what the goal waits for beside topics, services and the arm."""
+        """Return what the goal waits for beside topics, services and the arm.
+
+        Args:
+            goal: as `make_goal` made it.
+
+        Returns:
+            Code and sentence of the error that ends the goal if it stays missing; None: nothing.
+
+        """
         return None
 
     def silent_text(self, topics: list[str]) -> str:
-        """Return what is wrong where topics have no publisher."""
+        """Return what is wrong where topics have no publisher.
+
+        Args:
+            topics: their names.
+
+        Returns:
+            The error's sentence.
+
+        """
         return f"no publisher on {' and '.join(topics)}: is the driver running?"
 
     def look_after(self, goal: Any) -> None:  # noqa: B027 - most have nothing to do
-        """Do what is to be done ten times a second."""
+        """Do what is to be done ten times a second.
+
+        Args:
+            goal: as `make_goal` made it.
+
+        """
 
     def put_away(self, goal: Any, end: Any) -> Any:
-        """Close what the goal has open; returns the end that it came to."""
+        """Close what the goal has open.
+
+        Args:
+            goal: as `make_goal` made it.
+            end: as the procedure made it.
+
+        Returns:
+            The end that it came to.
+
+        """
         return end
 
     def status_values(self, goal: Any) -> dict[str, object]:
-        """Return more values for /diagnostics."""
+        """Return more values for /diagnostics.
+
+        Args:
+            goal: that runs.
+
+        Returns:
+            Values by name.
+
+        """
         return {}
 
     def status_remark(self, goal: Any) -> str:
-        """Return what /diagnostics adds to the progress."""
+        """Return what /diagnostics adds to the progress.
+
+        Args:
+            goal: that runs.
+
+        Returns:
+            Text, which follows without a space; empty: nothing.
+
+        """
         return ""
 
 
@@ -356,7 +479,12 @@ class GoalNode(Node):
     # ---- inputs
 
     def on_joint_state(self, data: bytes) -> None:
-        """Hand a joint state, serialised, to the goal."""
+        """Hand a joint state to the goal.
+
+        Args:
+            data: the serialised message.
+
+        """
         goal = self._goal
         if goal is None:
             return
@@ -378,7 +506,12 @@ class GoalNode(Node):
         self.feed(goal.procedure.on_joints, stamp_ns, joints, speed)
 
     def on_wrench(self, data: bytes) -> None:
-        """Hand a wrench, serialised, to the goal."""
+        """Hand a wrench to the goal.
+
+        Args:
+            data: the serialised message.
+
+        """
         goal = self._goal
         if goal is None:
             return
@@ -474,7 +607,15 @@ class GoalNode(Node):
     def call(
         self, goal: RunningGoal, client: Client, request: Any, answered: Callable[[Any], None]
     ) -> None:
-        """Call a service; its answer comes back while the goal runs, or not at all."""
+        """Call a service; its answer comes back while the goal runs, or not at all.
+
+        Args:
+            goal: that the call is for.
+            client: of the service.
+            request: the service's Request.
+            answered: called with the Response, in the executor's thread.
+
+        """
 
         def on_answer(future: Any) -> None:
             if self._goal is goal:
@@ -483,9 +624,15 @@ class GoalNode(Node):
         client.call_async(request).add_done_callback(on_answer)
 
     def work(self, goal: RunningGoal, job: Callable[[], T], done: Callable[[T], None]) -> None:
-        """Run `job` in a thread beside the executor, then `done(its result)` in the executor's.
+        """Run a job in a thread beside the executor.
 
         Nothing is done with the result of a goal that is over; an exception ends the goal.
+
+        Args:
+            goal: that the job is for.
+            job: runs in the thread.
+            done: called with the job's result in the executor's thread.
+
         """
 
         def attempt() -> Callable[[], None]:
@@ -506,7 +653,13 @@ class GoalNode(Node):
         self.feed(goal.procedure.fail, goal.action.codes[code], message)
 
     def feed(self, event: Callable[..., object], *args: object) -> None:
-        """Hand an event to the procedure and do what it then asks for; a bug ends only the goal."""
+        """Hand an event to the procedure and do what it then asks for; a bug ends only the goal.
+
+        Args:
+            event: a method of the procedure or the action.
+            *args: its arguments.
+
+        """
         goal = self._goal
         try:
             event(*args)
@@ -585,5 +738,13 @@ def _internal(action: ArmAction, error: Exception, goal: RunningGoal | None) -> 
 
 
 def named(subject: str) -> str:
-    """Return it in quotes, for a log; a goal that is rejected may name it by a megabyte."""
+    """Return a goal's subject in quotes, for a log.
+
+    Args:
+        subject: as the client sent it; it may be a megabyte long.
+
+    Returns:
+        One line, shortened.
+
+    """
     return one_line(repr(subject), _LONGEST_NAME)

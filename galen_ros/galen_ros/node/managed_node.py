@@ -74,7 +74,14 @@ class ManagedNode(LifecycleNode):
     """On /diagnostics."""
 
     def __init__(self, name: str, **node_options: Any) -> None:
-        """Take rclpy.node.Node's keyword arguments, such as context and parameter_overrides."""
+        """Make the node, unconfigured.
+
+        Args:
+            name: the node's default name.
+            **node_options: rclpy.node.Node's keyword arguments, such as context and
+                parameter_overrides.
+
+        """
         super().__init__(name, **node_options)
         self._stage = Stage.UNCONFIGURED
         self._error: Exception | None = None
@@ -108,7 +115,12 @@ class ManagedNode(LifecycleNode):
     # What it can use
 
     def start(self) -> None:
-        """Configure and activate, unless told not to. Raises what these raise."""
+        """Configure and activate, unless the parameter `autostart` is false.
+
+        Raises:
+            Exception: what `_configure` or `_activate` raised; the node is then destroyed.
+
+        """
         if not self._autostarts:
             self.get_logger().info(_SAYS[Stage.UNCONFIGURED])
             return
@@ -138,7 +150,14 @@ class ManagedNode(LifecycleNode):
     def hold(self, cls: type[T], on_change: Callable[[T], None] | None = None) -> Held[T]:
         """Declare parameters that can be set while the node is unconfigured; take them when it is.
 
-        `on_change` is called for those of `read_only=False` that are set while it is configured.
+        Args:
+            cls: dataclass with `param` fields.
+            on_change: called with the new instance for fields of `read_only=False` that are set
+                while the node is configured.
+
+        Returns:
+            The parameters, as they are now.
+
         """
         return Held(self, cls, on_change, lambda: _FIXED.get(self._stage, ""))
 
@@ -149,33 +168,81 @@ class ManagedNode(LifecycleNode):
     # Transitions, called by rclpy
 
     def on_configure(self, _state: Any) -> TransitionCallbackReturn:
-        """Make what the node needs."""
+        """Make what the node needs.
+
+        Args:
+            _state: the state before, not used.
+
+        Returns:
+            SUCCESS or ERROR.
+
+        """
         return self._transition(
             "configure", Stage.INACTIVE, lambda: self._make(self._configure, self._undo_configure)
         )
 
     def on_activate(self, _state: Any) -> TransitionCallbackReturn:
-        """Begin to work."""
+        """Begin to work.
+
+        Args:
+            _state: the state before, not used.
+
+        Returns:
+            SUCCESS or ERROR.
+
+        """
         return self._transition(
             "activate", Stage.ACTIVE, lambda: self._make(self._activate, self._undo_activate)
         )
 
     def on_deactivate(self, _state: Any) -> TransitionCallbackReturn:
-        """Nothing goes out from here on."""
+        """End the work: nothing goes out from here on.
+
+        Args:
+            _state: the state before, not used.
+
+        Returns:
+            SUCCESS or ERROR.
+
+        """
         return self._transition("deactivate", Stage.INACTIVE, lambda: self._go_down(Stage.INACTIVE))
 
     def on_cleanup(self, _state: Any) -> TransitionCallbackReturn:
-        """Destroy what was configured."""
+        """Destroy what was configured.
+
+        Args:
+            _state: the state before, not used.
+
+        Returns:
+            SUCCESS or ERROR.
+
+        """
         return self._transition(
             "cleanup", Stage.UNCONFIGURED, lambda: self._go_down(Stage.UNCONFIGURED)
         )
 
     def on_shutdown(self, _state: Any) -> TransitionCallbackReturn:
-        """As cleanup, and for good."""
+        """Clean up for good.
+
+        Args:
+            _state: the state before, not used.
+
+        Returns:
+            SUCCESS or ERROR.
+
+        """
         return self._transition("shutdown", Stage.FINALIZED, lambda: self._go_down(Stage.FINALIZED))
 
     def on_error(self, _state: Any) -> TransitionCallbackReturn:
-        """Be unconfigured again, so that the reason can be fixed; finalized if that fails."""
+        """Be unconfigured again, so that the reason can be fixed; finalized if that fails.
+
+        Args:
+            _state: the state before, not used.
+
+        Returns:
+            SUCCESS: unconfigured; ERROR: finalized.
+
+        """
         result = _SUCCESS
         try:
             self._go_down(Stage.UNCONFIGURED)

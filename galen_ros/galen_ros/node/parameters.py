@@ -26,13 +26,25 @@ _DECLARED_LATER = "qos_overrides."
 def declare_parameters(
     node: Node, cls: type[T], on_change: Callable[[T], None] | None = None, **others: Any
 ) -> T:
-    """Declare every `param` field of `cls` on `node`; return an instance with the active values.
+    """Declare every `param` field of a dataclass on a node.
 
     An integer is accepted where a float is asked. The instance's `validate()` is called if it has
     one; it raises a GalenError (or ValueError) when values don't fit together. A value that can't
-    be used raises `ParameterError` at start-up, and is rejected when set at run time.
-    `on_change(new_instance)` is called after every accepted change of a `read_only=False` field.
-    `others`: values of the fields that are no parameters.
+    be used is rejected when set at run time.
+
+    Args:
+        node: that has the parameters.
+        cls: dataclass with `param` fields.
+        on_change: called with the new instance after every accepted change of a `read_only=False`
+            field.
+        **others: values of the fields that are no parameters.
+
+    Returns:
+        An instance with the active values; a later change makes another one.
+
+    Raises:
+        ParameterError: a value given at start-up can't be used, or the values don't fit together.
+
     """
     return Held(node, cls, on_change, **others).now
 
@@ -48,11 +60,22 @@ class Held(Generic[T]):
         why_fixed: Callable[[], str] | None = None,
         **others: Any,
     ) -> None:
-        """Declare them.
+        """Declare the parameters.
 
-        While `why_fixed()` is empty, every field can be set and `on_change` is not called.
-        Otherwise it is why the `read_only` ones can't be set, such as "while the node is active".
-        Without it these can never be set. `others`: values of the fields that are no parameters.
+        Args:
+            node: that has them.
+            cls: dataclass with `param` fields.
+            on_change: called with the new instance after an accepted change; not while
+                `why_fixed()` is empty.
+            why_fixed: returns why the `read_only` fields can't be set now, such as "while the node
+                is active"; while it returns an empty text, every field can be set. None: these can
+                never be set.
+            **others: values of the fields that are no parameters.
+
+        Raises:
+            ParameterError: a value given at start-up can't be used, or the values don't fit
+                together.
+
         """
         guard_parameter_services(node)
         self._fields = param_fields(cls)
@@ -136,9 +159,13 @@ def _validate(instance: Any) -> None:
 
 
 def warn_of_unknown_parameters(node: Node) -> None:
-    """Log a warning for each parameter given to `node` whose name is nearly one of its own.
+    """Log a warning for each parameter given to a node whose name is nearly one of its own.
 
     Others are not named: a section for any node, such as `/**`, may hold other nodes' parameters.
+
+    Args:
+        node: that has declared its parameters.
+
     """
     known = list(node._parameters)
     for name in sorted(node._parameter_overrides):

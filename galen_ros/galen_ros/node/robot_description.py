@@ -25,7 +25,15 @@ class ArmSource:
         on_change: Callable[[], None],
         remedy: str,
     ) -> None:
-        """`on_change()`: a description came; `remedy`: how the node takes another arm."""
+        """Subscribe to the description.
+
+        Args:
+            node: that works with the arm.
+            held: its parameters of the arm.
+            on_change: called when a description came, whether rejected or not.
+            remedy: how the node takes another arm, to end a sentence.
+
+        """
         self._node = node
         self._held = held
         self._on_change = on_change
@@ -48,7 +56,15 @@ class ArmSource:
         return f"waiting for {self._topic}: is the driver or robot_state_publisher running?"
 
     def take(self) -> Arm:
-        """Return the arm as it is described now, to work with from here on; raises GalenError."""
+        """Return the arm as it is described now, to work with from here on.
+
+        Returns:
+            The arm.
+
+        Raises:
+            GalenError: no description came, or it, or the file, can't be used.
+
+        """
         if self.waiting:
             raise GalenError(f"no robot description: {self.waiting}")
         parameters = self._held.now

@@ -46,6 +46,13 @@ def make_executor(context: Context | None = None) -> Executor:
 
     Use it as `while ...: executor.spin_once(timeout_sec=0.1)`; its `spin()` calls nothing in
     rclpy 7.1.6.
+
+    Args:
+        context: of the nodes; None: rclpy's default one.
+
+    Returns:
+        The executor, without nodes.
+
     """
     try:
         from rclpy.experimental.events_executor import EventsExecutor
@@ -55,7 +62,16 @@ def make_executor(context: Context | None = None) -> Executor:
 
 
 def init_ros(args: list[str] | None = None, context: Context | None = None) -> None:
-    """Do `rclpy.init` without its signal handlers; raises GalenError."""
+    """Do `rclpy.init` without its signal handlers.
+
+    Args:
+        args: the command line with its ROS arguments; None: that of the process.
+        context: to initialise; None: rclpy's default one.
+
+    Raises:
+        GalenError: ROS_DOMAIN_ID is too large, a ROS argument is unknown, or rcl fails.
+
+    """
     domain = os.environ.get("ROS_DOMAIN_ID", "")
     if domain.isdecimal() and int(domain) > _LAST_DOMAIN:
         raise GalenError(
@@ -73,10 +89,19 @@ def init_ros(args: list[str] | None = None, context: Context | None = None) -> N
 def run(make_node: Callable[[], Node], args: list[str] | None = None) -> None:
     """Make the node and run it until SIGINT, SIGTERM or SIGHUP; a console script's whole `main`.
 
-    With `--help` it says what the node is, and how parameters are given, and makes none.
+    With `--help` it prints what the node is, and how parameters are given, and makes none.
+
     Ends with exit code 0 on a signal. A GalenError while the node is made (a bad parameter, a bad
     file) prints one line and ends with exit code 1. Anything else is a bug, and keeps its
     traceback.
+
+    Args:
+        make_node: the node's class, or a function that makes it; `--help` prints its docstring.
+        args: the command line; None: that of the process.
+
+    Raises:
+        SystemExit: with code 1 after a GalenError.
+
     """
     words = sys.argv[1:] if args is None else args
     if {"-h", "--help"} & set(
@@ -97,9 +122,23 @@ def run_until(
     args: list[str] | None = None,
     make: Callable[[], Executor] = make_executor,
 ) -> int | None:
-    """Make the node and run it until `done(node)`, or a signal; returns the signal's number.
+    """Make the node and run it until it is done, or a signal comes.
 
-    For commands that go on after their node. Raises what the node raises.
+    For commands that go on after their node.
+
+    Args:
+        make_node: makes the node, once ROS is initialised.
+        done: returns whether the node is done; called after every event, and ten times a second.
+        args: the command line with its ROS arguments; None: that of the process.
+        make: makes the executor.
+
+    Returns:
+        The signal's number; None: the node was done.
+
+    Raises:
+        GalenError: ROS can't be initialised, or rclpy rejects a parameter; what the node raises
+            comes out as well.
+
     """
     caught: list[int] = []
 

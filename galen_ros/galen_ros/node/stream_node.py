@@ -41,7 +41,15 @@ MIN_ANNOUNCE_S = 0.05
 
 
 def input_qos(best_effort: bool) -> QoSProfile:
-    """How a stream of samples is subscribed to."""
+    """Return how a stream of samples is subscribed to.
+
+    Args:
+        best_effort: whether to take samples of a best-effort publisher, too.
+
+    Returns:
+        The quality of service, of STREAM's depth.
+
+    """
     if best_effort:
         return QoSProfile(depth=STREAM.depth, reliability=ReliabilityPolicy.BEST_EFFORT)
     return STREAM

@@ -30,7 +30,15 @@ _POLL_S = 0.005
 
 
 def parameters(**values: Any) -> list[Parameter]:
-    """Return `parameter_overrides` for a Node: `parameters(rate_hz=500.0)`."""
+    """Return a Node's `parameter_overrides`: `parameters(rate_hz=500.0)`.
+
+    Args:
+        **values: by the parameter's name.
+
+    Returns:
+        The parameters, as `set_parameters` takes them as well.
+
+    """
     return [Parameter(name, value=value) for name, value in values.items()]
 
 
@@ -80,16 +88,41 @@ class Harness:
             self._raise_error()
 
     def add(self, make_node: Callable[[Context], N]) -> N:
-        """Make a node in this world and spin it; an error in its constructor is raised here."""
+        """Make a node in this world and spin it.
+
+        Args:
+            make_node: makes the node in a context; its error is raised here.
+
+        Returns:
+            The node.
+
+        """
         node: N = self.call_in_executor(lambda: self._add(make_node))
         return node
 
     def remove(self, node: Node) -> None:
-        """Stop and destroy one node, as if its process had ended."""
+        """Stop and destroy one node, as if its process had ended.
+
+        Args:
+            node: one that `add` returned.
+
+        """
         self.call_in_executor(lambda: self._remove(node))
 
     def call_in_executor(self, job: Callable[[], Any], timeout_s: float = 10.0) -> Any:
-        """Run `job` between callbacks, in the executor's thread, and return what it returns."""
+        """Run a job between callbacks, in the executor's thread.
+
+        Args:
+            job: its exception is raised here.
+            timeout_s: how long it may take until it is done, s.
+
+        Returns:
+            What the job returns.
+
+        Raises:
+            AssertionError: it took longer.
+
+        """
         future: Future[Any] = Future()
 
         def work() -> None:
@@ -104,17 +137,42 @@ class Harness:
         return future.result()
 
     def answer_of(self, ask: Callable[[], Any], timeout_s: float, what: str) -> Any:
-        """Run `ask` in the executor's thread, and return the result of the future it returns.
+        """Run a question in the executor's thread, and wait for its answer.
 
         From any other thread an action client may hear the answer before it has noted the
         question, and drops it (rclpy's ActionClient has no lock; its Client has).
+
+        Args:
+            ask: returns a future.
+            timeout_s: how long to wait for the answer, s.
+            what: names the answer in the error's text.
+
+        Returns:
+            The future's result.
+
+        Raises:
+            AssertionError: no answer came in time.
+
         """
         future = self.call_in_executor(ask)
         self.wait_for(future.done, timeout_s, what)
         return future.result()
 
     def wait_for(self, predicate: Callable[[], Any], timeout_s: float, what: str) -> Any:
-        """Wait until `predicate()` is true and return its value, or fail naming `what`."""
+        """Wait until a predicate is true.
+
+        Args:
+            predicate: called every few milliseconds, in the caller's thread.
+            timeout_s: how long to wait, s.
+            what: names what is waited for in the error's text.
+
+        Returns:
+            The predicate's value.
+
+        Raises:
+            AssertionError: it did not become true in time.
+
+        """
         deadline = time.monotonic() + timeout_s
         while True:
             self._raise_error()
@@ -126,7 +184,20 @@ class Harness:
             time.sleep(_POLL_S)
 
     def call(self, client: Client, request: Any, timeout_s: float = 10.0) -> Any:
-        """Call a service and return its response."""
+        """Call a service.
+
+        Args:
+            client: of a node in this world.
+            request: the service's Request.
+            timeout_s: how long to wait for the service, and for its answer, s.
+
+        Returns:
+            The service's Response.
+
+        Raises:
+            AssertionError: there was no service, or no answer, in time.
+
+        """
         name = client.srv_name
         self.wait_for(client.service_is_ready, timeout_s, f"service {name}")
         future = client.call_async(request)
@@ -175,18 +246,41 @@ class Lifecycle:
     """
 
     def __init__(self, harness: Harness, probe: Node, node_name: str) -> None:
-        """`probe`: a node in this world that may call them."""
+        """Make the clients of the node's services.
+
+        Args:
+            harness: the world.
+            probe: a node in it that may call them.
+            node_name: of the managed node.
+
+        """
         self._harness = harness
         self._change = probe.create_client(ChangeState, f"{node_name}/change_state")
         self._get = probe.create_client(GetState, f"{node_name}/get_state")
         self._set = probe.create_client(SetParameters, f"{node_name}/set_parameters")
 
     def go(self, *labels: str) -> bool:
-        """Ask for these transitions, one after another; whether all succeeded."""
+        """Ask for transitions, one after another, until one fails.
+
+        Args:
+            *labels: such as "configure" and "activate".
+
+        Returns:
+            Whether all succeeded.
+
+        """
         return all(self.ask(Transition(label=label)) for label in labels)
 
     def ask(self, transition: Transition) -> bool:
-        """Ask for one transition, by its label or number."""
+        """Ask for one transition.
+
+        Args:
+            transition: by its label or number.
+
+        Returns:
+            Whether it succeeded.
+
+        """
         request = ChangeState.Request(transition=transition)
         return bool(self._harness.call(self._change, request).success)
 
@@ -196,7 +290,15 @@ class Lifecycle:
         return str(self._harness.call(self._get, GetState.Request()).current_state.label)
 
     def set(self, **values: Any) -> str:
-        """Set parameters one by one, as `ros2 param set` does; return the first error, or ""."""
+        """Set parameters one by one, as `ros2 param set` does.
+
+        Args:
+            **values: by the parameter's name.
+
+        Returns:
+            The first error's reason; empty: none.
+
+        """
         for parameter in parameters(**values):
             request = SetParameters.Request(parameters=[parameter.to_parameter_msg()])
             (result,) = self._harness.call(self._set, request).results
