@@ -79,8 +79,8 @@ def read_joint_run(file: str | os.PathLike[str], columns: JointColumns) -> Joint
         columns: names, units and gears of its columns.
 
     Returns:
-        Time, s, angles of motor and link, rad, torque, N.m, each (n,); the link turned into the
-        sense of the motor, the torque multiplied by the gear.
+        Time, s, angles of motor and link, rad, torque, N.m, each (n,); where they are opposite, the
+        link turned into the sense of the motor, the torque multiplied by the gear.
 
     Raises:
         GalenError: an end stands still, readings are too few, too large or lack time, or nothing

@@ -65,7 +65,7 @@ class TextTable:
             name: the column's; one of those that were `known` when the table was read.
 
         Returns:
-            Numbers (n,), one a row, in the SI unit where the header has a unit.
+            Numbers (n,), one a row, in the unit of `read_text_table`.
 
         Raises:
             GalenError: the table has no such column; it names those there are.
@@ -94,7 +94,7 @@ def read_text_table(
 
     Returns:
         All cells as texts, and the numbers (n,) of the columns in `known`; those whose header has a
-        unit in brackets are in SI units.
+        unit in brackets are in SI units, but for temperatures and for accelerations in g.
 
     Raises:
         GalenError: the file can't be read or is no such table; it names file and line, or column.
@@ -497,8 +497,7 @@ def is_recording(table: OrientationTable) -> bool:
         table: readings in the order in which they were taken.
 
     Returns:
-        True for more than MOST_READINGS of which half of the steps turn gravity by less than 0.02
-        rad.
+        True for more than MOST_READINGS whose median step turns gravity by less than 0.02 rad.
 
     """
     if len(table) <= MOST_READINGS:

@@ -291,8 +291,8 @@ def interpolated(
         max_gap_s: samples further apart, s, have nothing known between them.
 
     Returns:
-        Values (m, k), NaN where not known; whether known, (m,) bool: not outside of the samples, in
-        a gap, where one of the two isn't finite, and where the stamps jump; and the line's shift
+        Values (m, k), NaN where not known; whether known, (m,) bool: False outside of the samples,
+        in a gap, where one of the two isn't finite, and where the stamps jump; and the line's shift
         (m,), ns, at the sample before.
 
     """
