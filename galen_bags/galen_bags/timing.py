@@ -103,7 +103,7 @@ def window(blocks: Iterable[Messages], first_ns: int, last_ns: int | None) -> It
         last_ns: latest log time, ns, included; None: to the end.
 
     Yields:
-        Blocks of those messages, none empty.
+        Blocks of those messages.
 
     """
     for block in blocks:
