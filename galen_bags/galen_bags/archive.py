@@ -55,7 +55,19 @@ _NOT_SEEN = (
 
 
 def place(text: str) -> Place:
-    """Read a path or a store's URL, for argparse."""
+    """Read a path or a store's URL, for argparse.
+
+    Args:
+        text: the command's argument; a URL has `://` in it.
+
+    Returns:
+        A path as it is given, or the URL without slashes at its end.
+
+    Raises:
+        argparse.ArgumentTypeError: the store's scheme is not known, or the URL may hold a
+            credential (user, password, query, fragment).
+
+    """
     scheme, separator, _ = text.partition("://")
     if not separator:
         return Path(text)
@@ -73,7 +85,12 @@ def place(text: str) -> Place:
 
 
 def add_results(options: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:
-    """Add `--results PLACE`."""
+    """Add `--results PLACE`.
+
+    Args:
+        options: parser, or group of options, of a command that keeps results.
+
+    """
     options.add_argument(
         "--results",
         type=place,
@@ -537,7 +554,13 @@ class Archive:
 
 
 def print_summary(summary: Mapping[str, Any], *, as_json: bool) -> None:
-    """Print what `Archive.run` returned, for a person or a program."""
+    """Print what `Archive.run` returned, for a person or a program.
+
+    Args:
+        summary: the counts, errors and the table's place, by name.
+        as_json: print it as one JSON object; else as lines, of which the errors go to stderr.
+
+    """
     if as_json:
         print(json.dumps(summary, indent=2))
         return

@@ -114,9 +114,18 @@ class Measured:
 
 
 def read_measured(arguments: argparse.Namespace) -> Measured:
-    """Read the tables that the command's options name; raises GalenError.
+    """Read the tables that the command's options name.
 
-    SetupError where a wrong set-up explains the readings, unless the options allow it.
+    Args:
+        arguments: the parsed options of `build_parser`.
+
+    Returns:
+        The readings, with stamps; in the sensor's frame.
+
+    Raises:
+        SetupError: a wrong set-up explains the readings, and the options don't allow it.
+        GalenError: a table can't be read, or lacks times.
+
     """
     unit, file = arguments.time_unit, arguments.table or arguments.wrench
     arm = chosen_arm(arguments)
@@ -160,10 +169,19 @@ def _stamped(
 
 
 def stamps_ns(times: Sequence[Array], unit: str = "s") -> list[np.ndarray]:
-    """Return stamps (ns) of several columns of times in `unit`, which share one clock.
+    """Return stamps of several columns of times that share one clock.
 
-    A stamp is above 0: where the earliest is not, it becomes 1 s. Raises ValueError for times that
-    no stamp can hold.
+    Args:
+        times: columns of times, each of any length, in `unit`.
+        unit: "s", "ms", "us" or "ns".
+
+    Returns:
+        Stamps, ns, int64, in the order of `times`. A stamp is above 0: where the earliest is not,
+        it becomes 1 s.
+
+    Raises:
+        ValueError: no stamp can hold the times.
+
     """
     unit_ns = _UNITS_NS[unit]
     latest_ns = max(float(np.abs(time).max()) for time in times) * unit_ns
@@ -182,7 +200,16 @@ def stamps_ns(times: Sequence[Array], unit: str = "s") -> list[np.ndarray]:
 
 
 def angles_of(gravity: Array) -> tuple[Array, np.ndarray]:
-    """Return roll and tilt (m, 2), rad, of gravity (m, 3), and where tilt has no meaning (m,)."""
+    """Find the roll and tilt that turn gravity so, by the module's equations.
+
+    Args:
+        gravity: (m, 3) in the sensor's frame, any length but 0.
+
+    Returns:
+        Roll and tilt (m, 2), rad; and whether tilt has no meaning, (m,) bool: gravity lies along y,
+        and the last tilt known is kept.
+
+    """
     unit = gravity / np.linalg.norm(gravity, axis=1, keepdims=True)
     level = np.hypot(unit[:, 0], unit[:, 2])
     angles = np.column_stack((np.arctan2(-unit[:, 1], level), np.arctan2(unit[:, 2], unit[:, 0])))
@@ -203,13 +230,20 @@ def angles_of(gravity: Array) -> tuple[Array, np.ndarray]:
 
 
 def write_measured(path: str, measured: Measured) -> tuple[Array, int]:
-    """Write `wrench_raw` and `joint_states` into a new bag; raises BagError.
+    """Write `wrench_raw` and `joint_states` into a new bag.
 
     Every message keeps its stamp and its place in its file. The log time is the stamp; where
     stamps step back, that of the message before.
 
+    Args:
+        path: the bag's directory, which must not be there.
+        measured: the readings; velocities are differences of the joints.
+
     Returns:
         The joints (m, n), m and rad, and how many orientations have no tilt of their own.
+
+    Raises:
+        BagError: the bag can't be written.
 
     """
     arm, angles, lost = measured.arm, measured.angles, np.zeros(0, dtype=bool)
@@ -248,7 +282,18 @@ def _velocities(stamp_ns: np.ndarray, positions: Array) -> Array:
 
 
 def convert(arguments: argparse.Namespace) -> list[str]:
-    """Read and write; return what was written, line by line. Raises GalenError."""
+    """Read the tables and write the bag.
+
+    Args:
+        arguments: the parsed options of `build_parser`.
+
+    Returns:
+        What was written, line by line, for a person.
+
+    Raises:
+        GalenError: a table can't be read, or the bag can't be written.
+
+    """
     check_parent(Path(arguments.output))
     measured = read_measured(arguments)
     joints, lost = write_measured(arguments.output, measured)
@@ -273,7 +318,15 @@ def convert(arguments: argparse.Namespace) -> list[str]:
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the command; return the exit code."""
+    """Run the command.
+
+    Args:
+        args: its arguments; None: those of the process.
+
+    Returns:
+        The exit code.
+
+    """
     parser = build_parser()
     arguments = parser.parse_args(args)
     two = (arguments.wrench is not None, arguments.orientations is not None)

@@ -56,7 +56,15 @@ class Outcome(Generic[Result]):
 
 
 def json_rows(outcomes: Sequence[Outcome[dict[str, Any]]]) -> list[dict[str, Any]]:
-    """Return each bag's result as JSON, or its path and the error."""
+    """Return each bag's result as JSON, or its path and the error.
+
+    Args:
+        outcomes: of a function that returns JSON objects.
+
+    Returns:
+        One object a bag, in the same order; `bag` and `error` where there is no result.
+
+    """
     return [
         {"bag": str(one.bag), "error": one.error} if one.result is None else one.result
         for one in outcomes
@@ -71,9 +79,24 @@ def run_many(
     workers: int | None = None,
     timeout_s: float = 5.0,
 ) -> list[Outcome[Result]]:
-    """Call `function` with each bag; returns the outcomes in the order of `bags`.
+    """Call `function` with each bag, and hold all results; see `run_each`.
 
-    Args and errors are those of `run_each`; here all results are held.
+    Args:
+        function: a module's function, a `functools.partial` of one, or a callable object.
+        bags: what it is called with, one at a time.
+        scheduler: address or file of a Dask scheduler.
+        workers: number of processes, at least 1; not with `scheduler`.
+        timeout_s: how long to wait for the scheduler's answer.
+
+    Returns:
+        The outcomes, in the order of `bags`.
+
+    Raises:
+        ValueError: both `scheduler` and `workers`, less than one worker, or with a scheduler a path
+            that isn't absolute.
+        GalenError: the scheduler can't be used, or no processes can be started.
+        KeyboardInterrupt: Ctrl-C; no outcome is returned.
+
     """
     outcomes = dict(
         run_each(function, bags, scheduler=scheduler, workers=workers, timeout_s=timeout_s)
@@ -326,13 +349,29 @@ def calibration_of_bag(bag: Path, tool: Path, *, beside: bool, arm: Arm) -> Cali
 
 
 def distinct_names(paths: Sequence[Path]) -> dict[Path, str]:
-    """Name each path by its stem, with folders before it as far as they differ."""
+    """Name each path by its stem, with folders before it as far as they differ.
+
+    Args:
+        paths: bags or files, each once.
+
+    Returns:
+        A name by path, with "_" between the parts.
+
+    """
     depth = name_depth(paths)
     return {path: name_of(path, depth) for path in paths}
 
 
 def name_depth(places: Sequence[Place]) -> int:
-    """Return how many parts of each place `name_of` needs to name all differently."""
+    """Return how many parts of each place `name_of` needs to name all differently.
+
+    Args:
+        places: each once.
+
+    Returns:
+        Number of parts, from 1 (the stem) to those of the longest.
+
+    """
     longest = max((len(_parts(place)) for place in places), default=1)
     for depth in range(1, longest):
         if len({name_of(place, depth) for place in places}) == len(places):
@@ -341,7 +380,16 @@ def name_depth(places: Sequence[Place]) -> int:
 
 
 def name_of(place: Place, depth: int = 1) -> str:
-    """Name a place by its stem and the folders before it, `depth` parts in all."""
+    """Name a place by its stem and the folders before it.
+
+    Args:
+        place: a path, made absolute but for links, or a URL, whose scheme is left out.
+        depth: number of parts, the stem among them.
+
+    Returns:
+        The parts with "_" between them; fit for a file's name.
+
+    """
     name = "_".join(_parts(place)[-depth:])
     # A store's names may have what a file here may not.
     return name if isinstance(place, Path) else re.sub(r"[^\w.+-]", "_", name)

@@ -41,11 +41,25 @@ class BagClock:
         return self._paused
 
     def start(self, bag_ns: int, now_s: float) -> None:
-        """Let bag time be `bag_ns` now, and run, unless paused."""
+        """Let bag time run from here, unless it is paused.
+
+        Args:
+            bag_ns: bag time now, ns.
+            now_s: steady clock, s.
+
+        """
         self._anchor_ns, self._anchor_s, self._last_s = bag_ns, now_s, now_s
 
     def advance(self, now_s: float) -> int:
-        """Return bag time now, ns."""
+        """Return bag time now.
+
+        Args:
+            now_s: steady clock, s; not before that of the call before.
+
+        Returns:
+            Bag time, ns.
+
+        """
         if self._paused:
             return self._anchor_ns
         excess_s = now_s - self._last_s - self._max_step_s
@@ -56,20 +70,42 @@ class BagClock:
         return self._anchor_ns + round((now_s - self._anchor_s) * self._rate * NS_PER_S)
 
     def hold(self, bag_ns: int, now_s: float) -> None:
-        """Go on from an earlier bag time: what was due could not be published at once."""
+        """Go on from an earlier bag time: what was due could not be published at once.
+
+        Args:
+            bag_ns: bag time, ns, from which it goes on; what it falls behind is added to `lag_s`.
+            now_s: steady clock, s.
+
+        """
         late_ns = self.advance(now_s) - bag_ns
         self.lag_s += max(0, late_ns) / (NS_PER_S * self._rate)
         self.start(bag_ns, now_s)
 
     def pause(self, paused: bool, now_s: float) -> None:
-        """Stop bag time, or let it go on from where it stopped."""
+        """Stop bag time, or let it go on from where it stopped.
+
+        Args:
+            paused: whether it is to stand still.
+            now_s: steady clock, s.
+
+        """
         if paused != self._paused:
             self.start(self.advance(now_s), now_s)
             self._paused = paused
 
 
 def window(blocks: Iterable[Messages], first_ns: int, last_ns: int | None) -> Iterator[Messages]:
-    """Return the blocks' messages with log times of `first_ns` to `last_ns`, both included."""
+    """Yield the messages with log times in a window.
+
+    Args:
+        blocks: messages in order of log time.
+        first_ns: earliest log time, ns, included.
+        last_ns: latest log time, ns, included; None: to the end.
+
+    Yields:
+        Blocks of those messages.
+
+    """
     for block in blocks:
         times = block.log_time_ns
         if last_ns is not None and len(times) and times[0] > last_ns:

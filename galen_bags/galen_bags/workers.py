@@ -51,9 +51,19 @@ def cpu_count() -> int:
 
 @contextlib.contextmanager
 def local_workers(count: int) -> Iterator[Client]:
-    """Start `count` processes of one thread each, reachable from this machine only.
+    """Start processes of one thread each, reachable from this machine only.
 
     When it ends, for whatever reason, they are gone, and so are their files.
+
+    Args:
+        count: number of processes.
+
+    Yields:
+        A client of theirs.
+
+    Raises:
+        GalenError: they can't be started, or a worker is importing the script that asks for them.
+
     """
     if getattr(multiprocessing.current_process(), "_inheriting", False):
         raise GalenError(
@@ -136,9 +146,19 @@ def _interrupts_held() -> Iterator[None]:
 
 @contextlib.contextmanager
 def scheduler_client(scheduler: str, timeout_s: float) -> Iterator[Client]:
-    """Connect to the scheduler at an address, such as tcp://host:8786, or of a scheduler file.
+    """Connect to a Dask scheduler.
 
-    Raises GalenError if none answers within `timeout_s`, or if it has no workers.
+    Args:
+        scheduler: its address, such as tcp://host:8786, or the path of a scheduler file.
+        timeout_s: how long to wait for its answer, s.
+
+    Yields:
+        A client of it, closed at the end.
+
+    Raises:
+        GalenError: none answers in time, it is no scheduler, has no workers or can't be connected
+            to.
+
     """
     address = _address(scheduler)
     try:

@@ -47,9 +47,20 @@ _RATE_HZ = 500.0  # the contract's, of wrench_raw
 
 
 def propose_poses(options: argparse.Namespace) -> dict[str, Any]:
-    """Choose as the options say, print it unless as JSON; raises GalenError.
+    """Choose poses as the options say, and print them unless as JSON.
 
     Of another arm than the Galen around its zero pose, and without a grid to compare with.
+
+    Args:
+        options: of `parse`; `parameters`, `tip`, `one_sweep` and `json` are read.
+
+    Returns:
+        For JSON: chosen poses and the grid, (n, k) angles in rad, in visiting order; why the grid
+        can't be swept, empty where it can; and what each makes of the compensation, SI.
+
+    Raises:
+        GalenError: no poses can be planned; the message names what is in the way.
+
     """
     parameters = replace(options.parameters, poses="chosen")
     parameters.validate()
@@ -144,7 +155,20 @@ _PARTS = ("inertia", "cable")
 
 
 def parse(arguments: list[str] | None = None) -> argparse.Namespace:
-    """Read the command line; exits with code 2 and a message where it is wrong."""
+    """Read the command line.
+
+    Args:
+        arguments: without the program's name; None: those of the process.
+
+    Returns:
+        The options, and in `parameters` those of calibration_node, with the arm of the options,
+        else of the recording.
+
+    Raises:
+        SystemExit: code 2 where the command line is wrong, 1 where the recording can't be read;
+            with a message.
+
+    """
     parser = make_parser(
         _NAME,
         "Calibrate a tool from recorded sweeps: average and judge still poses as calibration_node"
@@ -366,7 +390,15 @@ def _work(options: argparse.Namespace) -> int:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command; see `calibrate_from_bag --help`."""
+    """Run the command; see `calibrate_from_bag --help`.
+
+    Args:
+        arguments: without the program's name; None: those of the process.
+
+    Returns:
+        The exit code.
+
+    """
     options = parse(arguments)
     return run_command(_NAME, partial(_work, options), "; nothing is written")
 

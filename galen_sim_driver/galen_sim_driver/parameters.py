@@ -151,7 +151,15 @@ class DriverParameters:
         dataclasses.replace(self, start_joints=()).plant_config(GALEN).validate()
 
     def plant_config(self, arm: Arm) -> PlantConfig:
-        """Return the configuration of a plant with this arm."""
+        """Return the configuration of a plant.
+
+        Args:
+            arm: the simulated one.
+
+        Returns:
+            The configuration, unchecked and without effects.
+
+        """
         com = np.reshape(self.tool_com_m, (-1, 3))
         tip = np.reshape(self.tool_tip_m, (-1, 3))
         rows = np.reshape(self.hand_pushes, (-1, _NUMBERS_A_PUSH)).tolist()
@@ -187,7 +195,16 @@ DRIVER_NODE = "sim_driver"
 
 
 def parameter_name(effect: Effect, field: str) -> str:
-    """Return the driver's parameter for a field of an effect."""
+    """Return the driver's parameter for a field of an effect.
+
+    Args:
+        effect: of which name and joint count.
+        field: name of the effect's field.
+
+    Returns:
+        The parameter's name, as the module's text has it.
+
+    """
     own = effect.name.split("_")
     group, *entry = effect.contract_names.get(field, field).split(".", 1)
     words = group.lower().split("_")
@@ -208,7 +225,15 @@ def _names(effect: Effect) -> dict[str, str]:
 
 
 def effect_parameters(arm: Arm) -> type[Any]:
-    """Return the parameters of all effects of an arm, as `ManagedNode.hold` takes them."""
+    """Return the parameters of all effects of an arm, as `ManagedNode.hold` takes them.
+
+    Args:
+        arm: the nominal one.
+
+    Returns:
+        A class of dataclasses with a field a parameter; by default nothing is switched on.
+
+    """
     nothing = identities(arm)
     found: list[tuple[str, Any, Any]] = []
     for effect in nothing.values():
@@ -228,9 +253,18 @@ def effect_parameters(arm: Arm) -> type[Any]:
 
 
 def effects_of(parameters: Any) -> tuple[Effect, ...]:
-    """Return the effects that an instance of `effect_parameters` switches on.
+    """Return the effects that parameters switch on.
 
-    Raises ParameterError or ConfigError, naming the parameter.
+    Args:
+        parameters: an instance of a class of `effect_parameters`.
+
+    Returns:
+        The effects that change something, checked.
+
+    Raises:
+        ParameterError: a parameter has another number of values; the message names it.
+        ConfigError: an effect's numbers don't fit together.
+
     """
     asked = []
     for nothing in parameters.nothing.values():
@@ -257,8 +291,17 @@ EffectParameters = effect_parameters(GALEN)
 def driver_parameters(effects: Iterable[Effect]) -> dict[str, Any]:
     """Return the driver's parameters that make it have these effects.
 
-    What counts from a bag's first stamp counts from the driver's start there. Raises ConfigError
-    where there are two of a kind: the driver has one of each.
+    What counts from a bag's first stamp counts from the driver's start there.
+
+    Args:
+        effects: at most one of a kind, or of a kind and joint.
+
+    Returns:
+        Values by the parameters' names, as a parameter file has them.
+
+    Raises:
+        ConfigError: there are two of a kind: the driver has one of each.
+
     """
     found: dict[str, Any] = {}
     for effect in effects:
@@ -274,5 +317,16 @@ def driver_parameters(effects: Iterable[Effect]) -> dict[str, Any]:
 
 
 def driver_file(effects: Iterable[Effect]) -> Mapping[str, Any]:
-    """Return the content of a parameter file, for `--params-file`, with these effects."""
+    """Return the content of a parameter file, for `--params-file`, with these effects.
+
+    Args:
+        effects: as `driver_parameters` takes them.
+
+    Returns:
+        The content, for YAML.
+
+    Raises:
+        ConfigError: there are two of a kind.
+
+    """
     return {DRIVER_NODE: {"ros__parameters": driver_parameters(effects)}}

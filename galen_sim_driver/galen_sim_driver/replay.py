@@ -99,7 +99,15 @@ class Scene:
     results: _Results = field(init=False, default_factory=_Results, repr=False, compare=False)
 
     def instants(self, at_s: Array) -> Instants:
-        """Return times of this bag as effects take them."""
+        """Return times of this bag as effects take them.
+
+        Args:
+            at_s: (n,), s since the bag's first stamp.
+
+        Returns:
+            The same, and since the recording's first stamp.
+
+        """
         return Instants(self.bag, at_s, at_s + self.start_s)
 
 
@@ -233,11 +241,15 @@ class Replay:
     # --- the tip ------------------------------------------------------------------------------
 
     def tip(self, applied: Array | None = None) -> tuple[Array, Array]:
-        """Return tool_tip's rotation (nt, 3, 3) and position (nt, 3) in base_link.
+        """Return tool_tip's pose at the tracker's stamps, deflection included.
 
-        At the tracker's stamps.
+        Args:
+            applied: what is pushed (nw, 6) at the wrenches' stamps, N and N.m in ft_sensor about
+                its origin; None to take `applied_wrench`.
 
-        applied (nw, 6): what is pushed at the wrenches' stamps; None to take `applied_wrench`.
+        Returns:
+            Rotation (nt, 3, 3) and position (nt, 3) in base_link, m.
+
         """
         scene = self.scene
         if applied is None:
@@ -287,9 +299,17 @@ class Replay:
     def seen_by_tracker(
         self, rotation: Array, position: Array, base_rotation: Array, base_position: Array
     ) -> tuple[Array, Array]:
-        """Return the tip in the tracker's frame, with base_link at the given pose there.
+        """Return the tip's pose in the tracker's frame, as the tracker reads it.
 
-        rotation (nt, 3, 3), position (nt, 3) in base_link; their readings by the tracker.
+        Args:
+            rotation: of the tip (nt, 3, 3) in base_link.
+            position: of the tip (nt, 3) in base_link, m.
+            base_rotation: of base_link (3, 3) in the tracker's frame.
+            base_position: of base_link (3,) in the tracker's frame, m.
+
+        Returns:
+            Rotation (nt, 3, 3) and position (nt, 3), m.
+
         """
         when = self._when(_TRACKER)
         there = base_position + position @ base_rotation.T
@@ -400,7 +420,15 @@ class Between:
         self._part = part if part.ndim == 2 else part[:, None]
 
     def of(self, values: Array) -> Array:
-        """Return (n, k) of values (m, k); each column at its own times where those are (n, k)."""
+        """Interpolate values.
+
+        Args:
+            values: (m, k) at the known times.
+
+        Returns:
+            (n, k); each column at its own times where those are (n, k).
+
+        """
         if self._before.ndim == 2:
             before = np.take_along_axis(values, self._before, axis=0)
             after = np.take_along_axis(values, self._after, axis=0)
@@ -418,10 +446,19 @@ _RATE_WINDOW_S = 0.08
 
 
 def rates(at_s: Array, joints: Array) -> tuple[Array, Array]:
-    """Return velocity and acceleration (n, k) of joints (n, k) at times at_s (n,), s.
+    """Return velocity and acceleration of joints.
 
     Cubic polynomials over 80 ms (Savitzky and Golay, Anal. Chem. 36, 1964) on an even grid of the
-    stamps' median period; across a gap of more than that nothing is known, and both are 0 there.
+    stamps' median period; across a gap of more than that nothing is known, and in a part too short
+    for the window both are 0.
+
+    Args:
+        at_s: (n,), s, increasing.
+        joints: (n, k), m and rad.
+
+    Returns:
+        Velocity (n, k), m/s and rad/s; acceleration (n, k), m/s^2 and rad/s^2.
+
     """
     velocity, acceleration = np.zeros_like(joints), np.zeros_like(joints)
     step = float(np.median(np.diff(at_s))) if len(at_s) > 1 else 0.0

@@ -96,7 +96,17 @@ class Decoder:
         self._frame_ids: dict[str, int] = {}
 
     def decode(self, block: Messages, rows: np.ndarray) -> Samples:
-        """Return the messages at `rows` (n,) of a block."""
+        """Decode messages of a block.
+
+        Args:
+            block: messages of one or several topics, CDR.
+            rows: (n,) indices in the block of the messages of this decoder's topic.
+
+        Returns:
+            Samples (n,), in the order of `rows`; a message that can't be read is in `bad`, by its
+            place in `rows`.
+
+        """
         count = len(rows)
         samples = Samples(
             np.zeros(count, dtype=np.int64),
@@ -193,7 +203,17 @@ def _doubles(layout: Layout, rows: np.ndarray, run: int) -> Array:
 
 
 def join_samples(parts: list[Samples], width: int) -> Samples:
-    """Return samples of all blocks, one after the other; a decoder's frame ids only grow."""
+    """Join the samples of all blocks, one after the other.
+
+    Args:
+        parts: one decoder's samples, in the order of decoding: the last one's frame ids stand for
+            all, since a decoder's only grow.
+        width: number of values of a message, where there are no parts.
+
+    Returns:
+        Samples of all parts; the rows in `bad` count through them.
+
+    """
     if not parts:
         none = np.zeros(0, dtype=np.int64)
         return Samples(none, np.zeros((0, width)), none, ("",), {})
@@ -234,7 +254,20 @@ class ArmTopics:
     log_times: bool = False
 
     def find(self, bag: Bag, type_name: str) -> str:
-        """Return the bag's topic of the joints or of the wrench, by its type; raises BagError."""
+        """Find the bag's topic of the joints or of the wrench.
+
+        Args:
+            bag: an open bag.
+            type_name: WRENCH_TYPE for the wrench's topic; any other for the joints'.
+
+        Returns:
+            The topic's full name. With the default name, the only topic of the type is taken; one
+            with `compensated` in its name never is.
+
+        Raises:
+            BagError: there is no such topic, or several may be meant; it names those there are.
+
+        """
         field_name = "wrench_raw" if type_name == WRENCH_TYPE else "joint_states"
         name = getattr(self, field_name)
         # A compensated wrench would be taken for a raw one.
@@ -253,9 +286,16 @@ class ArmTopics:
             raise BagError(f"{error}{cut or remedy}") from error
 
     def temperature(self, bag: Bag, wrench_raw: str) -> str:
-        """Return the topic of the sensor's temperature; empty where none is it for certain.
+        """Find the topic of the sensor's temperature.
 
-        The bag's only one of its type, or the only one beside the wrenches.
+        Args:
+            bag: an open bag.
+            wrench_raw: full name of the wrenches' topic.
+
+        Returns:
+            The bag's only topic of temperatures, or the only one in the namespace of the wrenches;
+            empty where neither is certain.
+
         """
         topics = _of_type(bag, TEMPERATURE_TYPE)
         beside = [t for t in topics if t.rpartition("/")[0] == wrench_raw.rpartition("/")[0]]
@@ -263,7 +303,15 @@ class ArmTopics:
 
 
 def topics_of(arguments: argparse.Namespace) -> ArmTopics:
-    """Return what the options of `add_arm_topics` and `add_wrench_frame` say."""
+    """Make the topics from the options of `add_arm_topics` and `add_wrench_frame`.
+
+    Args:
+        arguments: a command's parsed options.
+
+    Returns:
+        Names of topics and joints, the wrenches' frame and the source of stamps.
+
+    """
     names = tuple(arguments.joint_names.split(",")) if arguments.joint_names else ()
     return ArmTopics(
         arguments.joint_states,
@@ -279,7 +327,20 @@ def arm_of_bag(bag: Bag, parameters: ArmParameters, topics: ArmTopics | None = N
 
     The description is the bag's `robot_description`, else `arm.urdf` in its directory or the one
     above, as a recording has it. A described arm's sensor frame is the wrenches' own `frame_id`,
-    unless the parameters name one. Raises BagError and GalenError.
+    unless the parameters name one.
+
+    Args:
+        bag: an open bag.
+        parameters: the file of a description, the sensor's frame and what else picks an arm.
+        topics: where the wrenches are, for their `frame_id`; None: the defaults.
+
+    Returns:
+        The arm whose joint states and wrenches the bag holds.
+
+    Raises:
+        BagError: the bag has no topic of wrenches, or their `frame_id` is none of the arm's frames.
+        GalenError: a description can't be read, or is of no usable arm.
+
     """
     text, topics = robot_description(bag) or _arm_file(bag.path), topics or ArmTopics()
     if not (text or parameters.urdf_file) or parameters.sensor_frame != ArmParameters.sensor_frame:
@@ -447,7 +508,20 @@ class ArmReader:
 
 
 def find_topic(bag: Bag, name: str, type_name: str) -> str:
-    """Find the bag's topic `name`, or the only one of its type that ends with it; or BagError."""
+    """Find the bag's topic `name`, or the only one of its type that ends with it.
+
+    Args:
+        bag: an open bag.
+        name: whole name or its last parts, with a leading slash or without.
+        type_name: the message type it must have, such as `geometry_msgs/msg/WrenchStamped`.
+
+    Returns:
+        The topic's name as the bag has it.
+
+    Raises:
+        BagError: there is none, there are several, or it has another type.
+
+    """
     bare = name.lstrip("/")
     # Some recorders leave the first slash out.
     for exact in ("/" + bare, bare):
@@ -506,9 +580,20 @@ def read_arm(
     arm: Arm,
     progress: Callable[[Iterator[ArmBlock]], Iterable[ArmBlock]] = iter,
 ) -> ArmRecording:
-    """Read a bag's joint states and wrenches; `progress` wraps the blocks as they are read.
+    """Read a bag's joint states and wrenches, and the sensor's temperature where it has one.
 
-    Raises BagError, naming the bag.
+    Args:
+        path: a bag: rosbag2 directory, .mcap or .db3.
+        topics: where the samples are; None: the defaults.
+        arm: whose joint names are looked up in the joint states.
+        progress: wraps the iterator of blocks as they are read, for a progress bar.
+
+    Returns:
+        The whole recording, in memory.
+
+    Raises:
+        BagError: the bag can't be read, lacks a topic, or a topic has no usable message.
+
     """
     topics = topics or ArmTopics()
     with open_bag(path) as bag:

@@ -50,7 +50,19 @@ class JointColumns:
 def read_joint_runs(
     files: Sequence[str | os.PathLike[str]], columns: JointColumns
 ) -> list[JointRun]:
-    """Read one run a file; raises GalenError that names file and line, or column."""
+    """Read one run a file.
+
+    Args:
+        files: text tables; a run is named after its file.
+        columns: names, units and gears of their columns, the same for all.
+
+    Returns:
+        The runs, in the order of `files`.
+
+    Raises:
+        GalenError: two files have the same name, or a file is wrong as of `read_joint_run`.
+
+    """
     runs = [read_joint_run(file, columns) for file in files]
     names = [run.name for run in runs]
     for name in names:
@@ -60,7 +72,21 @@ def read_joint_runs(
 
 
 def read_joint_run(file: str | os.PathLike[str], columns: JointColumns) -> JointRun:
-    """Read a run; raises GalenError that names file and line, or column."""
+    """Read a run of one joint out of a text table.
+
+    Args:
+        file: the table; the run is named by its stem.
+        columns: names, units and gears of its columns.
+
+    Returns:
+        Time, s, angles of motor and link, rad, torque, N.m, each (n,); where they are opposite, the
+        link turned into the sense of the motor, the torque multiplied by the gear.
+
+    Raises:
+        GalenError: an end stands still, readings are too few, too large or lack time, or nothing
+            deflects; it names file and line, or column.
+
+    """
     wanted = [columns.motor, columns.link, columns.torque, columns.t]
     table = read_text_table(file, wanted)
     motor, link, torque = (table.require(name) for name in wanted[:3])
@@ -121,7 +147,12 @@ def _time(table: TextTable, columns: JointColumns, motor: Array) -> Array:
 
 
 def add_column_options(group: argparse._ArgumentGroup) -> None:
-    """Add the options that name a table's columns, units and gears."""
+    """Add the options that name a table's columns, units and gears.
+
+    Args:
+        group: a command's group of options; `joint_columns` reads them.
+
+    """
     group.add_argument(
         "--columns",
         type=_columns,
@@ -150,7 +181,15 @@ def add_column_options(group: argparse._ArgumentGroup) -> None:
 
 
 def joint_columns(arguments: argparse.Namespace) -> JointColumns:
-    """Make the columns from the options of `add_column_options`."""
+    """Make the columns from the options of `add_column_options`.
+
+    Args:
+        arguments: a command's parsed options.
+
+    Returns:
+        Names, unit of time and gears; columns that the options don't name keep their default names.
+
+    """
     return JointColumns(
         **arguments.columns,
         time_scale_s=arguments.time_scale,

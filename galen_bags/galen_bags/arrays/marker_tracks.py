@@ -60,7 +60,19 @@ class RawTrack:
 
 
 def read_poses(bag: Bag, names: tuple[str, ...]) -> list[RawTrack]:
-    """Read PoseStamped topics, by their names or as the only one that ends so; else BagError."""
+    """Read topics of PoseStamped.
+
+    Args:
+        bag: an open bag.
+        names: of each topic, the whole name or its last parts, as of `find_topic`.
+
+    Returns:
+        The topics' messages as they came, in the order of `names`.
+
+    Raises:
+        BagError: a topic is missing, has another type or no message, or is named twice.
+
+    """
     topics = [find_topic(bag, name, POSE_TYPE) for name in names]
     if len(set(topics)) < len(topics):
         raise BagError(f"{bag.path}: {topics[0]} can't be both markers")
@@ -97,13 +109,23 @@ def marker_track(
     may_stand: bool,
     beside_ns: np.ndarray | None = None,
 ) -> MarkerTrack:
-    """Return the good poses of a marker; sentences tell times in s after `start_ns`.
+    """Return the good poses of a marker.
 
     Lost are poses that aren't finite, whose quaternion's length isn't 1, that are the identity (as
-    some trackers say it), those that repeat the one before to the last bit: a tracker that holds
-    its last pose, and those of a few samples elsewhere. `may_stand`: repeats are all right, as of a
-    marker that stands, looked at once and published for ever; and what is elsewhere is left to
-    `base_stands`. `beside_ns`: see `stamp_sentences`.
+    some trackers mark it), those that repeat the one before to the last bit: a tracker that holds
+    its last pose, and those of a few samples elsewhere.
+
+    Args:
+        raw: the marker's messages, n of them, in order of arrival.
+        jump_s: change, s, of the delay from stamp to log time from which on the stamps jumped.
+        start_ns: time, ns, from which the times in the problems' sentences count, in s.
+        may_stand: repeats are all right, as of a marker that stands, looked at once and published
+            for ever; and what is elsewhere is left to `base_stands`.
+        beside_ns: stamps (m,) of another topic, ns, increasing; see `stamp_sentences`.
+
+    Returns:
+        The good poses in the tracker's frame, m, increasing in time, and the problems found.
+
     """
     line = lay_out(raw.stamp_ns, raw.log_ns, jump_s)
     problems = stamp_sentences(raw.topic, line, start_ns, beside_ns)

@@ -59,7 +59,18 @@ class TextTable:
     left_out: int = 0
 
     def require(self, name: str) -> Array:
-        """Return the numbers (n,) of a column; raises GalenError that names those there are."""
+        """Return the numbers of a column.
+
+        Args:
+            name: the column's; one of those that were `known` when the table was read.
+
+        Returns:
+            Numbers (n,), one a row, in the unit of `read_text_table`.
+
+        Raises:
+            GalenError: the table has no such column; it names those there are.
+
+        """
         if name not in self.names:
             raise GalenError(f"{self.path}: no column {name!r}; there are {', '.join(self.names)}")
         return self.numbers[name]
@@ -72,11 +83,22 @@ def read_text_table(
     *,
     leave_out: bool = False,
 ) -> TextTable:
-    """Read a table; the columns `known` must hold finite numbers where they are there.
+    """Read a table.
 
-    `columns` names the columns of a file without a first line of names, "-" for one to skip;
-    leave_out: whether rows that lack a number are left out, and counted.
-    Raises GalenError naming the file and what is wrong in it.
+    Args:
+        path: text file to read.
+        known: names of columns of numbers: where they are there, they must hold finite ones.
+        columns: names of the columns of a file without a first line of names, "-" for one to skip;
+            None: the file names them.
+        leave_out: leave out, and count, rows that lack a number.
+
+    Returns:
+        All cells as texts, and the numbers (n,) of the columns in `known`; those whose header has a
+        unit in brackets are in SI units, but for temperatures and for accelerations in g.
+
+    Raises:
+        GalenError: the file can't be read or is no such table; it names file and line, or column.
+
     """
     path = Path(path)
     headers, rows, lines = _rows(path, columns)
@@ -293,7 +315,16 @@ class OrientationTable:
         return len(self.wrench)
 
     def take(self, rows: np.ndarray, block: np.ndarray | None) -> OrientationTable:
-        """Return the table's `rows`, with the labels `block` (for those rows)."""
+        """Return a table of some of the readings.
+
+        Args:
+            rows: indices or mask of readings (n,) to take.
+            block: labels (one of each reading taken), or None.
+
+        Returns:
+            The readings at `rows`; `left_out` as of the whole table.
+
+        """
         time = None if self.time is None else self.time[rows]
         rotation = None if self.rotation is None else self.rotation[rows]
         return replace(
@@ -329,12 +360,22 @@ def read_table(
     *,
     arm: Arm,
 ) -> OrientationTable:
-    """Read a table; `columns` names the columns of a file without a first line of names.
+    """Read a table of wrenches with orientations.
 
-    wrench_frame: "sensor", or "base" when the file's wrenches were turned into the base's axes
-    (still about the sensor's origin); they are turned back with the orientation.
+    Args:
+        path: text file to read.
+        columns: names of the columns of a file without a first line of names; None: the file names
+            them.
+        wrench_frame: "sensor", or "base" when the file's wrenches were turned into the base's axes
+            (still about the sensor's origin); they are turned back with the orientation.
+        arm: whose joint angles may give the orientation, and the direction of gravity in its base.
 
-    Raises GalenError naming the file and what is wrong in it.
+    Returns:
+        The n readings, without rows in which a value is missing.
+
+    Raises:
+        GalenError: the file can't be read or is no such table; it names what is wrong in it.
+
     """
     text = _read(path, columns, arm)
     wrench = _wrench(text)
@@ -371,9 +412,20 @@ def read_table(
 def read_wrenches(
     path: str | os.PathLike[str], columns: Sequence[str] | None = None
 ) -> tuple[Array, Array]:
-    """Return times (n,) as the file has them and wrenches (n, 6) of a table of t, fx ... tz.
+    """Read a table of t, fx ... tz.
 
-    Raises GalenError naming the file and what is wrong in it.
+    Args:
+        path: text file to read.
+        columns: names of the columns of a file without a first line of names; None: the file names
+            them.
+
+    Returns:
+        Times (n,) as the file has them, in s where the header gives the unit, and wrenches (n, 6),
+        N and N.m, in the axes of the file.
+
+    Raises:
+        GalenError: the file can't be read or is no such table; it names what is wrong in it.
+
     """
     text = read_text_table(path, {"t", *WRENCH_AXES}, columns)
     return _time(text), _wrench(text)
@@ -382,16 +434,36 @@ def read_wrenches(
 def read_orientations(
     path: str | os.PathLike[str], columns: Sequence[str] | None = None, *, arm: Arm
 ) -> tuple[Array, Array]:
-    """Read times (n,) as the file has them and gravity (n, 3), m/s^2, of a table without wrenches.
+    """Read a table of orientations with t, without wrenches.
 
-    Raises GalenError naming the file and what is wrong in it.
+    Args:
+        path: text file to read.
+        columns: names of the columns of a file without a first line of names; None: the file names
+            them.
+        arm: whose joint angles may give the orientation, and the direction of gravity in its base.
+
+    Returns:
+        Times (n,) as the file has them, in s where the header gives the unit, and gravity (n, 3),
+        m/s^2, in the sensor's frame.
+
+    Raises:
+        GalenError: the file can't be read or is no such table; it names what is wrong in it.
+
     """
     text = _read(path, columns, arm)
     return _time(text), _orientation(text, arm)[0]
 
 
 def still_readings(table: OrientationTable) -> StillReadings:
-    """Return the readings for a check of the set-up; a long table's averaged."""
+    """Return the readings for a check of the set-up.
+
+    Args:
+        table: any number of readings.
+
+    Returns:
+        At most 300 readings; those of a recording in motion are averaged, others picked evenly.
+
+    """
     if is_recording(table):
         table = average_runs(table, _MOST_CHECKED)
     elif len(table) > _MOST_CHECKED:
@@ -401,6 +473,9 @@ def still_readings(table: OrientationTable) -> StillReadings:
 
 def without_repeats(table: OrientationTable) -> tuple[OrientationTable, int]:
     """Leave out readings that repeat another, as a logger that holds the last value writes them.
+
+    Args:
+        table: readings; those alike in wrench and gravity to the last bit are repeats.
 
     Returns:
         The table, and how many readings were left out.
@@ -416,7 +491,15 @@ def without_repeats(table: OrientationTable) -> tuple[OrientationTable, int]:
 
 
 def is_recording(table: OrientationTable) -> bool:
-    """Return whether readings follow each other in a motion, and are more than a fit needs."""
+    """Return whether readings follow each other in a motion, and are more than a fit needs.
+
+    Args:
+        table: readings in the order in which they were taken.
+
+    Returns:
+        True for more than MOST_READINGS whose median step turns gravity by less than 0.02 rad.
+
+    """
     if len(table) <= MOST_READINGS:
         return False
     unit = table.gravity / np.linalg.norm(table.gravity, axis=1, keepdims=True)
@@ -425,7 +508,16 @@ def is_recording(table: OrientationTable) -> bool:
 
 
 def average_runs(table: OrientationTable, most: int) -> OrientationTable:
-    """Average neighbours of a recording in motion, so that at most `most` readings are left."""
+    """Average neighbours of a recording in motion.
+
+    Args:
+        table: readings in the order in which they were taken.
+        most: so many readings remain, or all where there are fewer.
+
+    Returns:
+        The means of runs of neighbours, without labels; rotations are the nearest to the mean.
+
+    """
     count = len(table)
     run = np.arange(count) * most // count
     first = np.flatnonzero(np.diff(run, prepend=-1))
@@ -458,10 +550,20 @@ def average_runs(table: OrientationTable, most: int) -> OrientationTable:
 def average_still(
     table: OrientationTable, window_s: float, settings: DirectionRest
 ) -> tuple[OrientationTable, Array]:
-    """Averages of `window_s` within each still phase of a recording, and their scatter (6,).
+    """Average the readings within each still phase of a recording.
 
-    Each phase becomes a block of its own. Raises GalenError when the table has no increasing time
-    or no still phase.
+    Args:
+        table: a recording with times, s.
+        window_s: length, s, of what is averaged into one reading.
+        settings: how long and how closely gravity must keep its direction in a still phase.
+
+    Returns:
+        The averages, each phase a block of its own, and the scatter (6,), N and N.m, of those of
+        one phase (root mean square over the phases; NaN where none has two).
+
+    Raises:
+        GalenError: the table has no times, they don't increase, or there is no still phase.
+
     """
     if table.time is None:
         raise GalenError(f"{table.path}: finding still phases needs a column t (s)")
@@ -599,7 +701,23 @@ def read_motion(
     imu_unit_m_s2: float,
     arm: Arm,
 ) -> MotionTable:
-    """Return a run's tables; without an IMU its arrays are empty. Raises GalenError."""
+    """Read the tables of one run in motion.
+
+    Args:
+        wrench_file: table of t, fx ... tz.
+        imu_file: table of t, ax, ay, az; None: there is no IMU, and its arrays are empty.
+        orientations_file: table of t and orientations, at its own rate.
+        time_unit_s: seconds a unit of the tables' times.
+        imu_unit_m_s2: m/s^2 a unit of the IMU's table.
+        arm: whose joint angles may give the orientation.
+
+    Returns:
+        The run, with times in s after the first wrench.
+
+    Raises:
+        GalenError: a table can't be read, or its times don't increase.
+
+    """
     wrench_t, wrench = read_wrenches(wrench_file)
     gravity_t, gravity = read_orientations(orientations_file, arm=arm)
     imu_t, specific = np.zeros(0), np.zeros((0, 3))
@@ -631,13 +749,34 @@ def _check_times(path: Path, times: Array) -> None:
 
 
 def read_specific(path: Path, unit_m_s2: float) -> Array:
-    """Specific force (n, 3), m/s^2, of a table of ax ay az; raises GalenError."""
+    """Read the specific force of a table of ax, ay, az.
+
+    Args:
+        path: text file to read.
+        unit_m_s2: m/s^2 a unit of the table.
+
+    Returns:
+        Specific force (n, 3), m/s^2, in the axes of the IMU.
+
+    Raises:
+        GalenError: the file can't be read, or lacks a column.
+
+    """
     text = read_text_table(path, set(_IMU))
     return unit_m_s2 * np.column_stack([text.require(name) for name in _IMU])
 
 
 def moving(time_s: Array, gravity: scipy.interpolate.CubicSpline) -> np.ndarray:
-    """Whether gravity turns, or has or will within a quarter of a second, at each moment."""
+    """Find where gravity turns, or has or will within a quarter of a second.
+
+    Args:
+        time_s: moments (n,), s, increasing.
+        gravity: gravity (3,), m/s^2, in the sensor's frame, as a function of time.
+
+    Returns:
+        (n,) bool: whether a moment at which gravity turns by over 0.01 rad/s is that near.
+
+    """
     around = [gravity(time_s + shift) for shift in (-_REST_S / 2.0, _REST_S / 2.0)]
     change = np.linalg.norm(around[1] - around[0], axis=1) / 9.8
     turning = time_s[change > _REST_RAD_S * _REST_S]

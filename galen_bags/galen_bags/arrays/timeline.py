@@ -71,7 +71,13 @@ class StampCheck:
     _gaps: list[list[int]] = field(default_factory=list)
 
     def add(self, stamp_ns: np.ndarray, log_time_ns: np.ndarray) -> None:
-        """Take stamps (n,) and log times (n,), ns."""
+        """Take samples, in the order of arrival.
+
+        Args:
+            stamp_ns: stamps (n,), ns; 0 or less: the sample has none.
+            log_time_ns: log times (n,), ns.
+
+        """
         self._count += len(stamp_ns)
         stamped = stamp_ns > 0
         self._note("unstamped", int(np.count_nonzero(~stamped)))
@@ -209,7 +215,15 @@ class Timeline:
         return len(self.row)
 
     def kept(self, mask: np.ndarray) -> Timeline:
-        """Only some of the samples (n,)."""
+        """Return only some of the samples.
+
+        Args:
+            mask: (n,) bool, or indices, of the samples to keep.
+
+        Returns:
+            The line of those; delay, jumps and report stay those of the whole topic.
+
+        """
         return replace(
             self,
             row=self.row[mask],
@@ -220,9 +234,17 @@ class Timeline:
 
 
 def lay_out(stamp_ns: np.ndarray, log_ns: np.ndarray, jump_s: float) -> Timeline:
-    """Put a topic's samples, in the order of arrival, on a line of time; all in ns.
+    """Put a topic's samples on a line of time.
 
-    Samples without a stamp, and those not later than one before them, are left out.
+    Args:
+        stamp_ns: stamps (n,), ns, in the order of arrival; 0 or less: the sample has none.
+        log_ns: log times (n,), ns.
+        jump_s: change, s, of the delay from stamp to log time from which on the stamps jumped.
+
+    Returns:
+        The samples, increasing in time; without those that have no stamp, or aren't later than one
+        before them.
+
     """
     check = StampCheck(jump_s)
     check.add(stamp_ns, log_ns)
@@ -260,10 +282,19 @@ def _medians(values: np.ndarray, edges: np.ndarray) -> np.ndarray:
 def interpolated(
     line: Timeline, values: Array, at_ns: np.ndarray, max_gap_s: float
 ) -> tuple[Array, np.ndarray, np.ndarray]:
-    """Values (m, k) between a topic's samples at times (m,), whether known (m,), shift_ns (m,).
+    """Interpolate a topic's values between its samples.
 
-    values (n, k) belong to the line's samples. Not known outside of them, between two further
-    apart than `max_gap_s`, where one of the two isn't finite, and where the stamps jump.
+    Args:
+        line: the topic's n samples.
+        values: (n, k), of the line's samples.
+        at_ns: times (m,), ns, on the same clock as the line's.
+        max_gap_s: samples further apart, s, have nothing known between them.
+
+    Returns:
+        Values (m, k), NaN where not known; whether known, (m,) bool: False outside of the samples,
+        in a gap, where one of the two isn't finite, and where the stamps jump; and the line's shift
+        (m,), ns, at the sample before.
+
     """
     if not len(line):
         return (
@@ -292,10 +323,19 @@ def interpolated(
 def stamp_sentences(
     topic: str, line: Timeline, start_ns: int, beside_ns: np.ndarray | None = None
 ) -> list[str]:
-    """Return what is wrong with a topic's stamps, as sentences; times in s after `start_ns`.
+    """Return what is wrong with a topic's stamps, as sentences.
 
-    beside_ns (m,), increasing: another topic's stamps. Where that has a gap, too, the recorder
-    paused, as between two positions, and no sample is missing.
+    Args:
+        topic: its name, with which each sentence begins.
+        line: its samples.
+        start_ns: time, ns, from which the times in the sentences count, in s.
+        beside_ns: another topic's stamps (m,), ns, increasing. Where that has a gap, too, the
+            recorder paused, as between two positions, and no sample is missing. None: every gap
+            counts.
+
+    Returns:
+        The sentences; none where the stamps are sound.
+
     """
     report, sentences = line.report, []
     if beside_ns is not None:

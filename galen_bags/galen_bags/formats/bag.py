@@ -96,9 +96,18 @@ class Bag:
         return found
 
     def blocks(self, topics: Sequence[str]) -> Iterator[Messages]:
-        """Return messages of `topics` in order of log time; `Messages.topic` counts in `topics`.
+        """Yield messages in order of log time.
 
-        Raises BagError for a topic that the bag lacks, or that is not CDR.
+        Args:
+            topics: full names of the topics to read; `Messages.topic` counts in them.
+
+        Yields:
+            Blocks of messages, none empty. Where a file begins before the one before it ends, they
+            follow each other all the same, and `problems` has it.
+
+        Raises:
+            BagError: the bag lacks a topic, it is not CDR, or a file can't be read.
+
         """
         for name in topics:
             if name not in self.topics:
@@ -203,9 +212,17 @@ class Bag:
 
 
 def open_bag(path: str | os.PathLike[str]) -> Bag:
-    """Open a rosbag2 directory (with metadata.yaml or without), a .mcap or a .db3.
+    """Open a bag.
 
-    Raises BagError, naming the file.
+    Args:
+        path: a rosbag2 directory (with metadata.yaml or without), a .mcap or a .db3.
+
+    Returns:
+        The open bag, to be closed by the caller.
+
+    Raises:
+        BagError: there is no bag, or it can't be read; the message names the file.
+
     """
     path = Path(path)
     try:
@@ -231,9 +248,17 @@ def open_bag(path: str | os.PathLike[str]) -> Bag:
 
 
 def robot_description(bag: Bag) -> str:
-    """Return the first text of the bag's topic `robot_description`; empty where it has none.
+    """Return the first text of the bag's topic `robot_description`.
 
-    Raises BagError for one that is no std_msgs/String.
+    Args:
+        bag: an open bag.
+
+    Returns:
+        The robot's description (URDF); empty where the bag has none.
+
+    Raises:
+        BagError: the topic's message is no std_msgs/String.
+
     """
     names = [name for name in bag.topics if name.rpartition("/")[2] == "robot_description"]
     for block in bag.blocks(names[:1]):
@@ -247,11 +272,21 @@ def robot_description(bag: Bag) -> str:
 
 
 def content_sha256(path: str | os.PathLike[str]) -> str:
-    """Return the SHA-256, in hexadecimal, over every message of a bag in order of log time.
+    """Return the SHA-256 over every message of a bag in order of log time.
 
     Of each message: topic name and type, each ended by a zero byte, log time (int64, ns), length
     of the payload (uint64), both little-endian, the payload itself. Messages of one log time are
-    taken in the bag's order. Raises BagError, also for a bag that can't be read to its end.
+    taken in the bag's order.
+
+    Args:
+        path: a bag: rosbag2 directory, .mcap or .db3.
+
+    Returns:
+        The checksum, in hexadecimal.
+
+    Raises:
+        BagError: the bag can't be read, or not to its end.
+
     """
     digest = hashlib.sha256()
     with open_bag(path) as bag:
@@ -269,7 +304,15 @@ def content_sha256(path: str | os.PathLike[str]) -> str:
 
 
 def listing(names: Iterable[str]) -> str:
-    """Join names for a sentence: "/a, /b", the first of many, or "none"."""
+    """Join names for a sentence.
+
+    Args:
+        names: such as a bag's topics, in any order.
+
+    Returns:
+        "/a, /b", sorted, at most 12 and how many more there are, or "none".
+
+    """
     there = sorted(names)
     more = [f"{len(there) - _MOST_NAMED} more"] if len(there) > _MOST_NAMED else []
     return ", ".join([*there[:_MOST_NAMED], *more]) or "none"
@@ -332,7 +375,15 @@ class SqliteFile:
         ]
 
     def messages(self, wanted: dict[str, int]) -> Iterator[Messages]:
-        """Return messages of the `wanted` topics ({name: number}) in order of log time."""
+        """Yield messages in order of log time.
+
+        Args:
+            wanted: numbers that the blocks have for the topics, by the topics' names.
+
+        Yields:
+            Blocks of messages; what is damaged is left out, and in `problems`.
+
+        """
         connections = [c for c in self._reader.connections if c.topic in wanted]
         if connections:
             yield from packed(self._rows(connections, wanted))

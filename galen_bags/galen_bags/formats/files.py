@@ -46,9 +46,17 @@ class BagMetadata:
 
 
 def read_metadata(path: Path) -> BagMetadata:
-    """Read metadata.yaml; nothing is known where there is none, or where it is damaged.
+    """Read a bag's metadata.yaml.
 
-    That is no error here: `open_bag` reports it, and reads the messages all the same.
+    That there is none, or a damaged one, is no error here: `open_bag` reports it, and reads the
+    messages all the same.
+
+    Args:
+        path: the bag; a file has no metadata.
+
+    Returns:
+        What is known: nothing without a usable file, no times without messages.
+
     """
     try:
         known = _information(path)
@@ -72,7 +80,18 @@ def _information(directory: Path) -> Any:
 
 
 def storage_files(directory: Path) -> list[Path]:
-    """Return a rosbag2 directory's files, in the order of the numbers in their names."""
+    """Find a rosbag2 directory's files.
+
+    Args:
+        directory: the bag; it is not searched below.
+
+    Returns:
+        Files of bags, in the order of the numbers in their names.
+
+    Raises:
+        OSError: the directory can't be read.
+
+    """
     found = [
         file
         for file in directory.iterdir()
@@ -82,12 +101,28 @@ def storage_files(directory: Path) -> list[Path]:
 
 
 def storage_of(path: Path) -> str:
-    """Return the ending that says the storage, without that of a compression."""
+    """Return the ending that names the storage, without that of a compression.
+
+    Args:
+        path: a file, which need not be there.
+
+    Returns:
+        The ending with its dot, such as ".mcap" of `run.mcap.zstd`; empty where there is none.
+
+    """
     return Path(path.stem).suffix if path.suffix == ZSTD_ENDING else path.suffix
 
 
 def listed_files(directory: Path) -> tuple[list[Path] | None, list[str]]:
-    """Return the files that metadata.yaml lists (None: unknown), and what is wrong with it."""
+    """Read which files metadata.yaml lists, and what is wrong with it.
+
+    Args:
+        directory: a rosbag2 directory.
+
+    Returns:
+        Files that are listed, each once, whether there or not (None: unknown); and sentences.
+
+    """
     if not (directory / METADATA).exists():
         return None, [f"{directory.name} has no metadata.yaml: its recording was cut off"]
     try:
@@ -110,13 +145,22 @@ def listed_files(directory: Path) -> tuple[list[Path] | None, list[str]]:
 
 
 def find_bags(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
-    """Return the bags that `paths` are or, if they are folders, hold; sorted, each once.
+    """Find the bags that `paths` are or, if they are folders, hold.
 
     A bag is a rosbag2 directory (not its files), or a .mcap or .db3 (.zstd, too) file elsewhere. A
     directory without metadata.yaml whose files all have its own name, as in `run/run_0.mcap`, is a
     recording that was cut off: one bag. Names that begin with a dot are left out, links are
-    followed. Raises BagError for a path that is not there, is no bag or holds none, or can't be
-    searched.
+    followed.
+
+    Args:
+        paths: bags, or folders that are searched with all that is below.
+
+    Returns:
+        The bags, sorted, each once.
+
+    Raises:
+        BagError: a path is not there, is no bag or holds none, or can't be searched.
+
     """
     found: dict[tuple[int, int], Path] = {}
     for path in map(Path, paths):
@@ -138,12 +182,31 @@ def find_bags(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
 
 
 def ros1_text(path: Path) -> str:
-    """Say what to do with a bag of ROS 1."""
+    """Return the sentence for a bag of ROS 1: what it is, and the remedy.
+
+    Args:
+        path: the .bag file.
+
+    Returns:
+        Text of an error.
+
+    """
     return f"{path}: is a bag of ROS 1; convert it: rosbags-convert --src {path} --dst NEW"
 
 
 def is_bag(path: Path) -> bool:
-    """Return whether the path itself is a bag, by names and metadata; raises OSError."""
+    """Return whether the path itself is a bag, by names and metadata.
+
+    Args:
+        path: a file or directory, or one that is not there.
+
+    Returns:
+        False for a folder that only holds bags.
+
+    Raises:
+        OSError: the directory can't be read.
+
+    """
     return path.name.endswith(_FILES) if path.is_file() else path.is_dir() and _is_rosbag2(path)
 
 
@@ -188,7 +251,15 @@ def is_rosbag2(directory: str, files: Sequence[str], *, described: bool) -> bool
 
 
 def is_storage(name: str) -> bool:
-    """Return whether a file of this name is one of a bag."""
+    """Return whether a file of this name is one of a bag.
+
+    Args:
+        name: of a file, without its directory.
+
+    Returns:
+        True for .mcap and .db3, compressed ones too; False for hidden files.
+
+    """
     return name.endswith(_FILES) and not name.startswith(".")
 
 

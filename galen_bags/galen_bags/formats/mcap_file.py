@@ -112,9 +112,19 @@ class McapFile:
         return found
 
     def messages(self, wanted: dict[str, int]) -> Iterator[Messages]:
-        """Return messages of the `wanted` topics ({name: number}) in order of log time.
+        """Yield messages in order of log time.
 
         Chunks may overlap in time; what is later than the next one's start waits for it.
+
+        Args:
+            wanted: numbers that the blocks have for the topics, by the topics' names.
+
+        Yields:
+            Blocks of messages; what is damaged is left out, and in `problems`.
+
+        Raises:
+            OSError: the file can't be read any more.
+
         """
         order = sorted(self._extents, key=lambda extent: (extent.first_ns, extent.start))
         following = [(extent.first_ns, extent.start) for extent in order[1:]] + [(None, 0)]

@@ -65,10 +65,17 @@ class Walk:
 
 
 def walk(content: bytes, message_starts: np.ndarray | None = None) -> Walk:
-    """Step from record to record; ends before one that doesn't belong into a chunk, or is cut.
+    """Step from record to record, up to one that doesn't belong into a chunk, or is cut.
 
-    `message_starts`, sorted, are where a message index says that messages are. It is believed only
-    if stepping would find the same: a record starts where another one stops.
+    Args:
+        content: a chunk's content, uncompressed, or messages outside of chunks.
+        message_starts: where a message index has the messages, in bytes from the beginning, sorted.
+            It is believed only if stepping would find the same: a record starts where another one
+            stops. None: there is no index.
+
+    Returns:
+        The records found, in the order of the bytes.
+
     """
     if message_starts is not None and len(message_starts):
         found = _check_index(content, message_starts)
@@ -136,7 +143,16 @@ def _heads(content: bytes, start: np.ndarray) -> np.ndarray:
 
 
 def indexed_starts(index: bytes) -> np.ndarray:
-    """Return where the message indexes after a chunk place its messages, sorted."""
+    """Return where the message indexes after a chunk place its messages.
+
+    Args:
+        index: the index records, one after the other, each with opcode and length; may be cut off.
+
+    Returns:
+        Starts (n,), bytes from the beginning of the chunk's content, sorted; as the file has them,
+        unchecked.
+
+    """
     parts = []
     at = 0
     while at + _INDEX_HEAD.size <= len(index):
@@ -157,7 +173,18 @@ class Body:
         self._at = 0
 
     def number(self, form: str) -> int:
-        """Return the next number, of a struct's form."""
+        """Read the next number.
+
+        Args:
+            form: its struct format, such as "<H".
+
+        Returns:
+            The number.
+
+        Raises:
+            struct.error: the content ends before.
+
+        """
         (value,) = struct.unpack_from(form, self._content, self._at)
         self._at += struct.calcsize(form)
         return int(value)
@@ -168,7 +195,18 @@ class Body:
         return text.decode()
 
     def rest(self, size: int) -> bytes:
-        """Return the next `size` bytes."""
+        """Read the next bytes, all of them.
+
+        Args:
+            size: how many, in bytes.
+
+        Returns:
+            So many bytes.
+
+        Raises:
+            struct.error: the content ends before.
+
+        """
         found = self._content[self._at : self._at + size]
         if len(found) != size:
             raise struct.error(f"{size} bytes are announced and {len(found)} are there")
@@ -176,18 +214,40 @@ class Body:
         return found
 
     def upto(self, size: int) -> bytes:
-        """Return the next `size` bytes, or those that are there."""
+        """Return the next bytes, or those that are there, without stepping over them.
+
+        Args:
+            size: how many, in bytes.
+
+        Returns:
+            At most so many bytes.
+
+        """
         return self._content[self._at : self._at + size]
 
     def skip(self, size: int) -> None:
-        """Step over `size` bytes."""
+        """Step over bytes.
+
+        Args:
+            size: how many, in bytes; what comes next fails if they aren't there.
+
+        """
         self._at += size
 
 
 def unpack_chunk(stored: bytes, *, cut: bool) -> bytes:
-    """Return the records of a chunk, whose content is `stored`; raises DamagedError.
+    """Return the records of a chunk.
 
-    A chunk that is `cut` off gives the records up to there.
+    Args:
+        stored: the chunk record's content: times, size, checksum, compression, the records packed.
+        cut: the file breaks off in this chunk: give the records up to there, unchecked.
+
+    Returns:
+        The records, one after the other, uncompressed.
+
+    Raises:
+        DamagedError: size, checksum or compression is wrong.
+
     """
     body = Body(stored)
     try:

@@ -54,7 +54,15 @@ class Messages:
         return len(self.topic)
 
     def message(self, index: int) -> bytes:
-        """Return one message's bytes."""
+        """Return one message.
+
+        Args:
+            index: its place in the block.
+
+        Returns:
+            A copy of its bytes, CDR.
+
+        """
         start = self.start[index]
         return self.data[start : start + self.size[index]].tobytes()
 
@@ -69,7 +77,15 @@ class Messages:
         return self.rows(np.argsort(self.log_time_ns, kind="stable"))
 
     def rows(self, rows: slice | np.ndarray) -> Messages:
-        """Return some of the messages, in the same buffer."""
+        """Return some of the messages, in the same buffer.
+
+        Args:
+            rows: slice, indices or mask (n,) of the messages, which come in this order.
+
+        Returns:
+            The messages; `data` is shared, not copied.
+
+        """
         return Messages(
             self.topic[rows], self.log_time_ns[rows], self.data, self.start[rows], self.size[rows]
         )
@@ -85,12 +101,31 @@ class Messages:
 
 
 def windows(data: np.ndarray, length: int) -> np.ndarray:
-    """Return all runs (m, length) of a buffer (n,), m = n - length + 1, without a copy."""
+    """Return all runs of a buffer, without a copy.
+
+    Args:
+        data: bytes (n,), contiguous.
+        length: bytes a run; at most n.
+
+    Returns:
+        Runs (n - length + 1, length), each one byte after the one before; a view of `data`.
+
+    """
     return np.ndarray((len(data) - length + 1, length), np.uint8, data, strides=(1, 1))
 
 
 def pack(topic: Sequence[int], log_time_ns: Sequence[int], messages: Sequence[bytes]) -> Messages:
-    """Put single messages into one buffer."""
+    """Put single messages into one buffer.
+
+    Args:
+        topic: number of each message's topic.
+        log_time_ns: log time of each, ns.
+        messages: bytes of each, CDR.
+
+    Returns:
+        The messages, in the order given.
+
+    """
     size = np.array([len(message) for message in messages], dtype=np.int64)
     return Messages(
         np.array(topic, dtype=np.int32),
@@ -102,7 +137,15 @@ def pack(topic: Sequence[int], log_time_ns: Sequence[int], messages: Sequence[by
 
 
 def packed(messages: Iterable[tuple[int, int, bytes]]) -> Iterator[Messages]:
-    """Make blocks of (topic, log time in ns, bytes), each of some megabytes at most."""
+    """Put single messages into blocks.
+
+    Args:
+        messages: (number of the topic, log time in ns, bytes) of each, in order of log time.
+
+    Yields:
+        Blocks of at most BLOCK_MESSAGES, and of about 8 MB where messages are large.
+
+    """
     batch: list[tuple[int, int, bytes]] = []
     held = 0
     for message in messages:
@@ -130,12 +173,28 @@ class TimeOrder:
         self.overfull = False
 
     def add(self, place: int, messages: Messages) -> None:
-        """Take the messages of the stretch at `place` of the file."""
+        """Take the messages of a stretch.
+
+        Args:
+            place: where the stretch begins in the file, bytes; another one for each.
+            messages: in any order of log time; none is all right.
+
+        """
         if len(messages):
             self._hold(place, messages.sorted())
 
     def ready(self, next_ns: int | None, next_place: int) -> Iterator[Messages]:
-        """Return what comes before the next stretch, which begins at this time; None: all."""
+        """Yield what comes before the next stretch.
+
+        Args:
+            next_ns: first log time of the next stretch, ns; None: there is none, and all comes.
+            next_place: where the next stretch begins in the file, bytes: of messages at `next_ns`
+                those before it come.
+
+        Yields:
+            Blocks in order of log time; they are no longer held.
+
+        """
         if next_ns is not None and self._held_bytes > MOST_HELD_BYTES:
             self.overfull = True
             next_ns = None
@@ -229,7 +288,12 @@ class Problems:
         self._more = False
 
     def add(self, text: str) -> None:
-        """Note a problem. Reading a bag again finds the same ones again."""
+        """Note a problem; the same one again, as when a bag is read twice, is noted once.
+
+        Args:
+            text: a sentence; it is kept on one line.
+
+        """
         text = one_line(" ".join(text.split()))
         if text in self._texts:
             return

@@ -79,10 +79,21 @@ class BagWriter:
     def add_topic(
         self, name: str, type_name: str, definition: str | None = None, qos: tuple[Qos, ...] = ()
     ) -> Any:
-        """Return what `write` wants for this topic.
+        """Add a topic to the bag.
 
-        `type_name` as in "sensor_msgs/msg/JointState". `definition` (.msg text, its dependencies
-        after lines of =) is needed for types that ROS 2 itself does not bring. Raises BagError.
+        Args:
+            name: with a leading slash or without.
+            type_name: as in "sensor_msgs/msg/JointState".
+            definition: .msg text, its dependencies after lines of =; needed for types that ROS 2
+                itself does not bring, see `knows`.
+            qos: QoS that the topic's publishers offered, for the bag's metadata.
+
+        Returns:
+            What `write` wants for this topic.
+
+        Raises:
+            BagError: the type is not known, its definition is wrong, or the topic can't be added.
+
         """
         assert self._writer is not None
         try:
@@ -107,11 +118,29 @@ class BagWriter:
             raise BagError(f"{self.path}: {name}: can't be added: {error}") from error
 
     def knows(self, type_name: str) -> bool:
-        """Whether `add_topic` takes this type without a definition."""
+        """Return whether `add_topic` takes this type without a definition.
+
+        Args:
+            type_name: as in "sensor_msgs/msg/JointState".
+
+        Returns:
+            True for types of ROS 2 itself, and those that were added.
+
+        """
         return type_name in self._types.fielddefs
 
     def write(self, topic: Any, log_time_ns: int, data: bytes | memoryview) -> None:
-        """Append a serialised message (CDR); `log_time_ns` is when it was received."""
+        """Append a serialised message.
+
+        Args:
+            topic: from `add_topic`.
+            log_time_ns: when it was received, ns.
+            data: the message as CDR.
+
+        Raises:
+            BagError: the bag can't be written.
+
+        """
         assert self._writer is not None
         try:
             self._writer.write(topic, log_time_ns, data)
@@ -185,7 +214,17 @@ class GrowingBagWriter(BagWriter):
         return self._flushed_bytes if self._writer is None else int(self._storage().bio.tell())
 
     def write(self, topic: Any, log_time_ns: int, data: bytes | memoryview) -> None:
-        """Append a serialised message (CDR); `log_time_ns` is when it was received."""
+        """Append a serialised message; a write that fails closes the bag.
+
+        Args:
+            topic: from `add_topic`.
+            log_time_ns: when it was received, ns.
+            data: the message as CDR.
+
+        Raises:
+            BagError: the bag can't be written any more.
+
+        """
         assert self._writer is not None
         try:
             self._writer.write(topic, log_time_ns, data)

@@ -47,7 +47,15 @@ class PlayRun:
             self._line.close()
 
     def result(self, signal_number: int | None) -> dict[str, Any]:
-        """Return what was played, for --json."""
+        """Return what was played, for --json.
+
+        Args:
+            signal_number: of the signal that ended it; None: played to the end.
+
+        Returns:
+            Counts of messages by topic, times in s, what was left out and why.
+
+        """
         assert self.node is not None
         return {
             "bag": str(self._bag.path),
@@ -63,7 +71,15 @@ class PlayRun:
         }
 
     def summary(self, signal_number: int | None) -> str:
-        """Return what was played, for a person."""
+        """Return what was played, for a person.
+
+        Args:
+            signal_number: of the signal that ended it; None: played to the end.
+
+        Returns:
+            Several lines.
+
+        """
         result = self.result(signal_number)
         lines = [f"{result['bag']}: {result['messages']} messages published"]
         width = max(map(len, result["topics"]))
@@ -106,7 +122,18 @@ class PlayRun:
 
 
 def parse(arguments: Sequence[str]) -> argparse.Namespace:
-    """Read the command line; exits with code 2 and a message where it is wrong."""
+    """Read the command line.
+
+    Args:
+        arguments: without the program's name and without those of ROS.
+
+    Returns:
+        The options.
+
+    Raises:
+        SystemExit: code 2, with a message: the command line is wrong.
+
+    """
     parser = make_parser(
         "play",
         "Publish a bag's messages with its own timing, and its time on /clock.",

@@ -123,7 +123,18 @@ def _topic_table(counts_by_topic: list[TopicCounts]) -> str:
 
 
 def parse(arguments: Sequence[str]) -> argparse.Namespace:
-    """Read the command line; exits with code 2 and a message where it is wrong."""
+    """Read the command line.
+
+    Args:
+        arguments: without the program's name and without those of ROS.
+
+    Returns:
+        The options, with the defaults of topics and output filled in.
+
+    Raises:
+        SystemExit: code 2, with a message: the command line is wrong.
+
+    """
     parser = make_parser(
         "record",
         "Record topics to a rosbag2 directory (MCAP), until Ctrl-C or for a time.",

@@ -80,21 +80,40 @@ class TopicCounts:
     _kept: tuple[int, int, int | None] = (0, 0, None)
 
     def add(self, log_time_ns: int, size_bytes: int) -> None:
-        """Count a message that was written."""
+        """Count a message that was written.
+
+        Args:
+            log_time_ns: its log time, ns.
+            size_bytes: its length as CDR.
+
+        """
         self.messages += 1
         self.size_bytes += size_bytes
         self.first_ns = log_time_ns if self.first_ns is None else self.first_ns
         self.last_ns = log_time_ns
 
     def add_number(self, sequence_number: int | None) -> None:
-        """Take the number of the next message; None where the middleware gives none."""
+        """Take the number of the next message.
+
+        Args:
+            sequence_number: the publisher's, from 1; None where the middleware gives none.
+
+        """
         last, self._last_number = self._last_number, sequence_number
         # A lower number is another publisher's: the old one was restarted.
         if sequence_number is not None and last is not None and sequence_number > last:
             self._gaps += sequence_number - last - 1
 
     def end_batch(self, one_publisher: bool) -> int:
-        """Count the batch's gaps, or forget them; returns how many were counted."""
+        """Count the batch's gaps, or forget them.
+
+        Args:
+            one_publisher: exactly one publisher was matched all the while.
+
+        Returns:
+            How many lost messages were counted.
+
+        """
         counted = self._gaps if one_publisher else 0
         if not one_publisher:
             self._last_number = None
@@ -144,7 +163,15 @@ class _Topic:
 
 
 def received_ns(info: Mapping[str, int | None]) -> int:
-    """Return when the middleware received a message; now where it does not say (Cyclone DDS)."""
+    """Return when the middleware received a message.
+
+    Args:
+        info: what rclpy gives with a taken message; `received_timestamp` in ns, system time.
+
+    Returns:
+        The time, ns; now where the middleware does not give it (Cyclone DDS).
+
+    """
     return info["received_timestamp"] or time.time_ns()
 
 
@@ -159,11 +186,25 @@ class SimulatedTimes:
         self._before = self._now = (0, 0)
 
     def look(self, wall_ns: int, clock_ns: int) -> None:
-        """Take what the clock is now; 0 where it is not known."""
+        """Take what the clock is now.
+
+        Args:
+            wall_ns: system time, ns.
+            clock_ns: simulated time, ns; 0 where it is not known.
+
+        """
         self._before, self._now = self._now, (wall_ns, clock_ns)
 
     def at(self, received_ns: int) -> int:
-        """Return what the clock was when a message was received."""
+        """Return what the clock was when a message was received.
+
+        Args:
+            received_ns: system time, ns, between the last two looks.
+
+        Returns:
+            Simulated time, ns; 0 where it is not known.
+
+        """
         (from_wall, from_clock), (wall, clock) = self._before, self._now
         if from_clock == 0 or not (from_wall < wall and from_clock < clock):
             return clock
@@ -317,8 +358,17 @@ class RecorderNode(Node):
     def change_bag(self, bag: GrowingBagWriter) -> int:
         """Go on in another bag, with the same subscriptions: nothing is lost in between.
 
-        What has come until now goes into the old one, which stays the caller's; returns how many
-        messages that one then has. Counts begin anew. Raises BagError.
+        What has come until now goes into the old bag, which stays the caller's. Counts begin anew.
+
+        Args:
+            bag: an open bag; it gets the topics that are being recorded.
+
+        Returns:
+            How many messages the old bag then has.
+
+        Raises:
+            BagError: one of the bags can't be written.
+
         """
         self._write_all()
         written = self.messages

@@ -39,7 +39,18 @@ _NS_PER_S = 1_000_000_000
 
 
 def check_topic_name(name: str) -> str:
-    """Return `name`; raises BagError if no topic can have it."""
+    """Check that a topic can have this name.
+
+    Args:
+        name: absolute, relative or private (~).
+
+    Returns:
+        The same name.
+
+    Raises:
+        BagError: no topic can have it.
+
+    """
     try:
         validate_topic_name(name)
     except InvalidTopicNameException as error:
@@ -52,7 +63,18 @@ def check_topic_name(name: str) -> str:
 
 
 def message_class(type_name: str) -> Any:
-    """Return the class of a type such as "galen_msgs/msg/DeflectionStamped"; raises BagError."""
+    """Return the class of a message type.
+
+    Args:
+        type_name: such as "galen_msgs/msg/DeflectionStamped".
+
+    Returns:
+        The class that rosidl has generated.
+
+    Raises:
+        BagError: the type is not installed here.
+
+    """
     try:
         package, folder, name = type_name.split("/")
         return getattr(importlib.import_module(f"{package}.{folder}"), name)
@@ -61,15 +83,34 @@ def message_class(type_name: str) -> Any:
 
 
 def definition_of(type_name: str) -> str:
-    """Return the type's installed .msg text with all types in it; raises BagError."""
+    """Return the type's installed definition.
+
+    Args:
+        type_name: such as "galen_msgs/msg/DeflectionStamped".
+
+    Returns:
+        Its .msg text with all types in it, as MCAP's `ros2msg` wants it.
+
+    Raises:
+        BagError: the type, or one in it, is not installed here.
+
+    """
     return find_definition(type_name, lambda package: Path(get_package_share_path(package)))
 
 
 def find_definition(type_name: str, share_of: Callable[[str], Path]) -> str:
     """Return the text of a type and of all types in it, as MCAP's `ros2msg` wants it.
 
-    `type_name` as in "galen_msgs/msg/DeflectionStamped"; `share_of(package)` is the package's
-    share directory, or raises LookupError. Raises BagError, naming the type that is missing.
+    Args:
+        type_name: as in "galen_msgs/msg/DeflectionStamped".
+        share_of: returns the share directory of a package, or raises LookupError.
+
+    Returns:
+        The type's .msg text, then those of the types in it, each once, after a line of =.
+
+    Raises:
+        BagError: a type is missing; the message names it.
+
     """
     texts = {type_name: _read(type_name, share_of)}
     waiting = _types_in(type_name, texts[type_name])
@@ -114,7 +155,12 @@ def _short(type_name: str) -> str:
 def request_for(offers: Sequence[QoSProfile]) -> QoSProfile:
     """Return a subscription's QoS that all these publishers can serve, as strict as they allow.
 
-    Reliable unless one is best effort, transient local where all are; the last 2000 kept.
+    Args:
+        offers: QoS of a topic's publishers.
+
+    Returns:
+        Reliable unless one is best effort, transient local where all are; the last 2000 kept.
+
     """
     reliable = all(offer.reliability is not ReliabilityPolicy.BEST_EFFORT for offer in offers)
     latched = all(offer.durability is DurabilityPolicy.TRANSIENT_LOCAL for offer in offers)
@@ -122,7 +168,15 @@ def request_for(offers: Sequence[QoSProfile]) -> QoSProfile:
 
 
 def to_bag(offer: QoSProfile) -> Qos:
-    """Return a publisher's QoS in the form that bags hold."""
+    """Return a publisher's QoS in the form that bags hold.
+
+    Args:
+        offer: what the publisher offers.
+
+    Returns:
+        The same, as `BagWriter.add_topic` takes it.
+
+    """
     return Qos(
         QosHistory[offer.history.name],
         offer.depth,
@@ -139,8 +193,13 @@ def to_bag(offer: QoSProfile) -> Qos:
 def offer_again(recorded: Sequence[Qos]) -> QoSProfile:
     """Return a publisher's QoS that stands for the recorded publishers of a topic.
 
-    Best effort and transient local where all of them were; else reliable and volatile. History is
-    the player's own affair: DDS does not tell a publisher's, so a bag does not have it.
+    Args:
+        recorded: their QoS as the bag holds them; none where the bag doesn't.
+
+    Returns:
+        Best effort and transient local where all of them were; else reliable and volatile. History
+        is the player's own affair: DDS does not announce a publisher's, so a bag does not have it.
+
     """
     best_effort = bool(recorded) and all(
         qos.reliability is QosReliability.BEST_EFFORT for qos in recorded

@@ -47,9 +47,16 @@ _LOOK_EVERY_NS = 50_000_000
 
 
 def missing_direction(gravity: Array, sigma: Array, arm: Arm) -> Array:
-    """Return the direction (3,) of gravity in the sensor that would add most, a unit vector.
+    """Find the direction of gravity in the sensor that would add most.
 
-    gravity: (n, 3) of the poses so far, m/s^2; sigma: (6,) of one averaged reading, N and N.m.
+    Args:
+        gravity: (n, 3) of the poses so far, m/s^2, in the sensor's frame; n at least 1.
+        sigma: (6,) noise of one averaged reading, N and N.m.
+        arm: whose joints limit the directions.
+
+    Returns:
+        Direction (3,), a unit vector in the sensor's frame, away from those so far.
+
     """
     directions = workspace_gravity(arm)
     each = _information(directions, sigma)
@@ -69,7 +76,16 @@ def _information(gravity: Array, sigma: Array) -> Array:
 
 
 def down_text(direction: Array, frame: str) -> str:
-    """Say which of a frame's axes are to point down for gravity along `direction` (3,)."""
+    """Name the axes of a frame that are to point down.
+
+    Args:
+        direction: (3,) of gravity in the frame, any length.
+        frame: its name.
+
+    Returns:
+        Such as "+z and -x of ft_sensor down alike"; axes by at least half of the largest component.
+
+    """
     order = np.argsort(-np.abs(direction))
     shown = [k for k in order if abs(direction[k]) >= 0.5 * abs(direction[order[0]])]
     axes = " and ".join(f"{'+' if direction[k] > 0 else '-'}{'xyz'[k]}" for k in shown)

@@ -79,7 +79,15 @@ class Calibration:
 
 
 def check_writable(path: Path) -> None:
-    """Find out before the arm moves whether `path` can be written; raises CalibrationFileError."""
+    """Find out before the arm moves whether a tool's file can be written; make its folder.
+
+    Args:
+        path: the file.
+
+    Raises:
+        CalibrationFileError: the folder can't be made, or nothing can be written to it.
+
+    """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -89,10 +97,19 @@ def check_writable(path: Path) -> None:
 
 
 def choose_tip(tip_m: Array, path: Path, arm: Arm) -> tuple[Array, list[str]]:
-    """Return the tip (3,) for the new file, m in ft_sensor, and warnings.
+    """Choose the tip for the new file.
 
-    `tip_m` itself or, where all of it is NaN, that of the old file at `path`, else (0, 0, 0).
-    Raises GalenError for a tip with some values that are not finite, or that no tool reaches.
+    Args:
+        tip_m: (3,) in ft_sensor, m, as asked for; all NaN: not given.
+        path: the tool's file, whose tip is kept where none is given.
+        arm: that of the file.
+
+    Returns:
+        The tip (3,), m in ft_sensor, (0, 0, 0) where neither is known; and warnings of that.
+
+    Raises:
+        GalenError: some values are not finite, or no tool reaches as far.
+
     """
     if np.all(np.isfinite(tip_m)):
         if np.max(np.abs(tip_m)) > LONGEST_TOOL_M:
@@ -128,11 +145,24 @@ def estimate(
 ) -> Calibration:
     """Identify the load and put the tool's file together, without writing it.
 
-    `warnings` are known from before. `calibrated_at`, with a time zone, is when it was measured,
-    for measurements that come out of a recording; None: now. `mounting`: estimate that as well,
-    with a constant bias. `check_setup`: whether a wrong set-up that explains the readings is an
-    error. `progress`: called with what is compared; what it raises ends the comparison.
-    Raises EstimateError.
+    Args:
+        path: where the tool's file belongs; parts of an old one there that are lost get a warning.
+        tool: its name.
+        tip_m: its tip (3,), m in ft_sensor.
+        measurements: still poses of one sweep or two.
+        warnings: known from before.
+        calibrated_at: when it was measured, with a time zone, for measurements that come out of a
+            recording; None: now.
+        mounting: estimate that as well, with a constant bias; None: models are compared.
+        check_setup: a wrong set-up that explains the readings is an error.
+        progress: called with what is compared; what it raises ends the comparison.
+
+    Returns:
+        The file's content, with all warnings.
+
+    Raises:
+        EstimateError: the measurements give no file; its code is the action's.
+
     """
     gain: Worth | None = None
     tool_poses = measurements.tool
@@ -248,7 +278,12 @@ def _outliers(found: Identification, measurements: Measurements) -> list[str]:
 def calibration_fields(calibration: Calibration) -> dict[str, Any]:
     """Return a CalibrateTool.Result's fields by name, for JSON too; SI units.
 
-    All but `tool`, `file` and the error.
+    Args:
+        calibration: a tool's file, written or not.
+
+    Returns:
+        All fields but `tool`, `file` and the error.
+
     """
     file = calibration.content
     return {
@@ -271,9 +306,15 @@ def calibration_fields(calibration: Calibration) -> dict[str, Any]:
 
 
 def format_result(result: Any) -> str:
-    """Return a successful CalibrateTool.Result, or what has its fields, as a table.
+    """Format a successful calibration as a table; one standard deviation after +-.
 
-    One standard deviation after +-. Without a `file` nothing was written.
+    Args:
+        result: a CalibrateTool.Result, or what has its fields. Without a `file` nothing was
+            written.
+
+    Returns:
+        Several lines, in g, mm, N and mN.m.
+
     """
     lines = [
         f"{'':18}{'mass [g]':>18}   centre x, y, z in the sensor [mm]",
@@ -313,9 +354,15 @@ def _load_line(name: str, mass: float, mass_std: float, com: Any, com_std: Any) 
 
 
 def mounting_fields(calibration: Calibration) -> dict[str, Any] | None:
-    """Return what the file holds of the mounting; SI units.
+    """Return what the file holds of the mounting, for JSON; SI units.
 
-    Where it was asked for, also how it did on held-out poses.
+    Args:
+        calibration: a tool's file, written or not.
+
+    Returns:
+        The mounting; where it was asked for, also how it did on held-out poses. None: there is
+        none.
+
     """
     mounting, worth = calibration.content.mounting, calibration.worth
     if mounting is None:
@@ -338,7 +385,15 @@ def mounting_fields(calibration: Calibration) -> dict[str, Any] | None:
 
 
 def format_mounting(calibration: Calibration) -> str:
-    """Return the same as tables, in deg, %, mN and mN.m; empty where there is none."""
+    """Format what the file holds of the mounting as tables, in deg, %, mN and mN.m.
+
+    Args:
+        calibration: a tool's file, written or not.
+
+    Returns:
+        Several lines; empty where there is no mounting.
+
+    """
     mounting, worth = calibration.content.mounting, calibration.worth
     if mounting is None:
         return ""

@@ -134,7 +134,13 @@ class CalibrationProcedure(PoseProcedure):
     # ---- events
 
     def on_service(self, success: bool, message: str) -> None:
-        """Take the answer to the last ZeroSensor or AttachTool."""
+        """Take the answer to the last ZeroSensor or AttachTool.
+
+        Args:
+            success: the driver's.
+            message: its reason, where it failed.
+
+        """
         name, self._waiting_for = self._waiting_for, ""
         if not name or self.ending:
             return

@@ -134,10 +134,19 @@ def explain_rest(
     anywhere: Array,
     p_noise: float,
 ) -> tuple[Explanation, ...]:
-    """Return the causes that leave only noise of the residual (n, 6), the best first.
+    """Find the causes that leave only noise of the residual.
 
-    angles (n, k) are in rad, `anywhere` (w, k) those of the arm's range; sigma (6,) is the
-    noise, and what is likelier than `p_noise` by chance counts as noise.
+    Args:
+        angles: (n, k) of the turning joints, rad.
+        residual: (n, 6) reading less the file's, N and N.m in ft_sensor.
+        sigma: (6,) noise of one pose's mean.
+        tool: the file that is checked.
+        anywhere: angles (w, k), rad, over the arm's range, for the effect on a compensation.
+        p_noise: what is likelier than this by chance counts as noise.
+
+    Returns:
+        The causes, the best first; none where nothing explains it.
+
     """
     count = len(residual)
     found = []
@@ -159,16 +168,34 @@ def explain_rest(
 
 
 def load_and_offset(angles: Array, tool: CalibrationFile) -> Array:
-    """Return [G, I] (n, 6, 10) at angles (n, k), rad."""
+    """Return the columns [G, I] of another load and an offset.
+
+    Args:
+        angles: (n, k) of the turning joints, rad.
+        tool: the file, whose gravity is taken.
+
+    Returns:
+        (n, 6, 10), in ft_sensor, SI: mass, first moment (3), offset (6).
+
+    """
     return single_load_design(tool.gravity_in_sensor(angles))
 
 
 def zero_lost(offset: Array, tool: CalibrationFile, limit: Array) -> str:
-    """How the sensor's zero went, if an offset (6,) is just as that would leave it; else empty.
+    """Describe how the sensor's zero went, if an offset is just as that would leave it.
 
-    What the zeroing took for nothing is Z = W(zeroing; adapter) - offset: none if there was no
-    zeroing, the adapter's wrench under another direction of gravity if it was elsewhere, that of
-    tool and adapter if the tool was on. `limit` (6,): how near.
+    What the zeroing took for nothing is Z = W(zeroing; adapter) - offset, the file's own offset
+    included: none if there was no zeroing, the adapter's wrench under another direction of gravity
+    if it was elsewhere, that of tool and adapter if the tool was on.
+
+    Args:
+        offset: (6,) beside the file's, N and N.m in ft_sensor.
+        tool: the file that is checked.
+        limit: (6,) how near, N and N.m; an offset within twice of it is none.
+
+    Returns:
+        The end of a sentence; empty where no such zero explains the offset.
+
     """
     if np.all(np.abs(offset) <= 2.0 * limit):
         return ""
@@ -217,10 +244,18 @@ def quick_check(
     others: Mapping[str, CalibrationFile] | None = None,
     known_offset: Array | None = None,
 ) -> QuickCheck:
-    """Decide from records of at least FEWEST_POSES poses.
+    """Decide whether a tool's file still fits.
 
-    `others`: files of other tools by name, which the load is compared with; `known_offset` (6,):
-    what a tare already subtracts.
+    Args:
+        records: mean readings at FEWEST_POSES still poses or more.
+        tool: the file that is checked.
+        limits: what a compensation may be off by, and the rate of false alarms.
+        others: files of other tools by name, which the load is compared with.
+        known_offset: (6,) what a tare already subtracts, N and N.m; None: nothing.
+
+    Returns:
+        The cause, in words too, with what was found and the smallest changes that would be.
+
     """
     taken_off = np.zeros(6) if known_offset is None else known_offset
     found = differences(records, tool, limits, taken_off)
@@ -254,7 +289,18 @@ def quick_check(
 def differences(
     records: Sequence[PoseRecord], tool: CalibrationFile, limits: CheckLimits, known_offset: Array
 ) -> Differences:
-    """Estimate what the readings differ by, with the tests of the module's text."""
+    """Estimate what the readings differ by, with the tests of the module's text.
+
+    Args:
+        records: mean readings at still poses.
+        tool: the file that is checked.
+        limits: the rate of false alarms makes a load significant.
+        known_offset: (6,) what a tare already subtracts, N and N.m.
+
+    Returns:
+        Load, offset and rest, with their tests and their effect on a compensation.
+
+    """
     angles, residual, sigma = _readings(records, tool, known_offset)
     count = len(residual)
     rows = load_and_offset(angles, tool)
@@ -290,10 +336,19 @@ def differences(
 
 
 def smallest_mass_kg(load_information: Array, tool: CalibrationFile, false_alarm: float) -> float:
-    """Least mass that, put on at the tool's own centre, is found beyond noise with 95 %.
+    """Find the least mass that, put on at the tool's own centre, is found beyond noise with 95 %.
 
-    By the test's noncentrality m^2 (1, p)^T (Cov d)^-1 (1, p), `load_information` (4, 4) being
-    (Cov d)^-1; p = 0 where the tool has no mass of its own.
+    By the test's noncentrality m^2 (1, p)^T (Cov d)^-1 (1, p); p = 0 where the tool has no mass of
+    its own.
+
+    Args:
+        load_information: (Cov d)^-1 (4, 4) of mass and first moment, SI.
+        tool: the file, with the centre p.
+        false_alarm: the test's level.
+
+    Returns:
+        Mass, kg.
+
     """
     direction = np.array([1.0, *tool.load.com_m])
     size = direction @ load_information @ direction
@@ -424,7 +479,21 @@ def in_words(
     hints: tuple[str, ...],
     poses: int,
 ) -> str:
-    """Return the cause in words; `hints` are what it was found by."""
+    """Return the cause in words.
+
+    Args:
+        cause: what was decided.
+        found: what the readings differ by.
+        tool: the file that is checked.
+        limits: what a compensation may be off by.
+        hints: what the cause was found by: names of other causes or tools, the pose that stands
+            out, how the zero was lost; none is needed for an offset, a load and noise.
+        poses: number of poses.
+
+    Returns:
+        One sentence, without its stop.
+
+    """
     if cause is Cause.FITS:
         return _fits(found, limits, hints)
     message = MESSAGES[cause]
@@ -465,9 +534,18 @@ def _load(cause: Cause, found: Differences, tool: CalibrationFile, hints: tuple[
 
 
 def centre_change(found: Differences, tool: CalibrationFile) -> tuple[Array, Array] | None:
-    """By how much the tool's centre moved, m, and its std, (3,) each; None without a mass.
+    """Find by how much the tool's centre moved.
 
     p = h / m, so that dp = (dh - p dm) / m for its covariance.
+
+    Args:
+        found: what the readings differ by.
+        tool: the file that is checked.
+
+    Returns:
+        Change and its standard deviation, (3,) each, m in ft_sensor; None where the mass is less
+        than five of its own.
+
     """
     mass = tool.load.mass_kg + found.moments[0]
     if mass < 5.0 * np.sqrt(found.moments_covariance[0, 0]):

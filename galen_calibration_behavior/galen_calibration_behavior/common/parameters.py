@@ -184,9 +184,17 @@ class CalibrationParameters(PoseParameters):
         return self.arm.joint_names == GALEN.joint_names
 
     def standing_at(self, joints: Array) -> CalibrationParameters:
-        """Return the same of an arm that stands at joints (n,), which is inside its limits.
+        """Return the same of an arm that stands at these joints.
 
         An arm that stands at a limit may read a little beyond it, where none may be sent.
+
+        Args:
+            joints: (n,) in the arm's order, m and rad.
+
+        Returns:
+            Parameters whose `present` is inside the limits, unless it is beyond them by more than
+            the tolerance of an arrival.
+
         """
         inside = np.clip(joints, self.arm.lower, self.arm.upper)
         near = np.abs(joints - inside) <= self.arrival.position_tolerance
@@ -251,7 +259,19 @@ class CalibrationParameters(PoseParameters):
         return self.chosen_poses if self.chosen else self.itersT * self.itersR
 
     def grid_poses(self, tilts: int, rolls: int) -> Array:
-        """Return the grid's angles (n, 2), rad; raises GalenError."""
+        """Return the grid's poses.
+
+        Args:
+            tilts: number of tilts, at least 1.
+            rolls: number of rolls, at least 1.
+
+        Returns:
+            (roll, tilt) (n, 2), rad, one roll after the other.
+
+        Raises:
+            GalenError: a count is below 1, or a pose outside the limits.
+
+        """
         lower, upper = self.angle_limits
         return sweep_grid(
             (self.tstart, self.tend, tilts), (self.rstart, self.rend, rolls), lower, upper
@@ -279,10 +299,21 @@ class CalibrationParameters(PoseParameters):
     def plan(
         self, tip_m: Array, *, one_sweep: bool = False, tilts: int = 0, rolls: int = 0
     ) -> SweepPlan:
-        """Return the poses, for a tool with its tip at tip_m (3,), and the ways around obstacles.
+        """Plan a sweep's poses, and the ways around obstacles.
 
-        tilts, rolls: the grid's counts, 0 for the parameters'. Raises a GalenError that names what
-        is in the way, or what the poses don't identify.
+        Args:
+            tip_m: the tool's tip (3,), m in ft_sensor.
+            one_sweep: with the tool on only, after a zeroing at home.
+            tilts: the grid's count of tilts; 0: the parameter's.
+            rolls: the grid's count of rolls; 0: the parameter's.
+
+        Returns:
+            Angles (n, k), rad, in visiting order, and free ways between them.
+
+        Raises:
+            GalenError: something is in the way, or the poses don't identify what is asked for; it
+                names it.
+
         """
         if self.chosen:
             plan = plan_chosen(

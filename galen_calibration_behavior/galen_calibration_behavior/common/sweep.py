@@ -48,7 +48,12 @@ class Sweep:
         self.rejected_in_a_row = 0
 
     def append(self, angles: Array) -> None:
-        """Add a pose (k,), rad, to those to visit."""
+        """Add a pose to those to visit.
+
+        Args:
+            angles: (k,) of the turning joints, rad.
+
+        """
         self._queue.append(len(self.poses))
         self._visits.append(0)
         self.poses = np.vstack([self.poses, angles])
@@ -87,8 +92,13 @@ class Sweep:
     def take(self, outcome: PoseRecord | PoseRejection) -> list[PoseOutcome]:
         """Judge the current pose's visit and step on.
 
-        Returns its verdict, then, at the end of a round, those of recorded poses that turned out
-        less still than the rest.
+        Args:
+            outcome: the visit's average, or why there is none.
+
+        Returns:
+            The visit's verdict, then, at the end of a round, those of recorded poses that turned
+            out less still than the rest.
+
         """
         index = self._queue.pop(0)
         self._visits[index] += 1
@@ -137,9 +147,17 @@ class Sweep:
 
 
 def still_poses(records: Sequence[PoseRecord], arm: Arm, origin_ns: int = 0) -> StillPoses:
-    """Return the records for an identification; times are counted from `origin_ns`.
+    """Return the records for an identification.
 
-    Without a temperature that a sensor can have at every pose there is none.
+    Args:
+        records: mean readings at n still poses.
+        arm: whose joints they have.
+        origin_ns: stamp, ns, from which times are counted.
+
+    Returns:
+        Angles, readings and times, in s; the temperature, deg C, only where every pose has one that
+        a sensor can have.
+
     """
     temperature = np.array([r.temperature_c for r in records])
     plausible = (temperature >= _COLDEST_C) & (temperature <= _HOTTEST_C)
@@ -153,7 +171,17 @@ def still_poses(records: Sequence[PoseRecord], arm: Arm, origin_ns: int = 0) -> 
 
 
 def stack(records: Sequence[PoseRecord], arm: Arm) -> tuple[Array, Array, Array]:
-    """Return angles (n, k), wrench (n, 6) and its std_of_mean (n, 6) of the records."""
+    """Stack records into arrays.
+
+    Args:
+        records: mean readings at n still poses.
+        arm: whose joints they have.
+
+    Returns:
+        Angles (n, k) of the turning joints, rad; wrench (n, 6), N and N.m, in the sensor's frame;
+        its standard deviation (n, 6) as a mean's.
+
+    """
     joints = np.array([r.joints for r in records]).reshape(-1, len(arm.joints))
     return (
         arm.angles(joints),

@@ -53,9 +53,20 @@ _EARLIEST_DATE = datetime(2000, 1, 1, tzinfo=UTC)
 
 
 def read_recording(options: argparse.Namespace, bag: str) -> ArmRecording:
-    """Read a bag with the options' names of topics and joints; raises GalenError.
+    """Read a bag with the options' names of topics and joints.
 
     A sensor frame that the options name is taken as that of wrenches with one other `frame_id`.
+
+    Args:
+        options: of `calibrate_from_bag.parse`.
+        bag: rosbag2 directory, .mcap or .db3.
+
+    Returns:
+        Joint states and wrenches of the whole recording.
+
+    Raises:
+        GalenError: the bag can't be read, or lacks a topic.
+
     """
     topics, arm = topics_of(options), options.parameters.arm
     recording = read_arm(
@@ -73,16 +84,35 @@ def read_recording(options: argparse.Namespace, bag: str) -> ArmRecording:
 
 
 def sample_time(stamp_ns: int, log_ns: int) -> datetime:
-    """When a sample was taken: its stamp or, where that is no date, when it was received."""
+    """Return when a sample was taken: its stamp or, where that is no date, when it was received.
+
+    Args:
+        stamp_ns: its stamp, ns since the epoch; before 2000 it is no date.
+        log_ns: its log time, ns since the epoch.
+
+    Returns:
+        The time, UTC.
+
+    """
     stamp = datetime.fromtimestamp(stamp_ns / 1e9, UTC)
     received = datetime.fromtimestamp(log_ns / 1e9, UTC)
     return stamp if stamp >= _EARLIEST_DATE else max(stamp, received)
 
 
 def check_not_newer(options: argparse.Namespace, path: Path, recorded: datetime) -> None:
-    """Raise GalenError where the file's calibration is newer than the recording's end.
+    """Check that the file's calibration is not newer than the recording's end.
 
-    Nothing is raised where nothing is to be written, or `--replace-newer` allows it.
+    Nothing is checked where nothing is to be written, or `--replace-newer` allows it; a file that
+    can't be read is not newer.
+
+    Args:
+        options: of `calibrate_from_bag.parse`.
+        path: the tool's file.
+        recorded: the recording's end, with a time zone.
+
+    Raises:
+        GalenError: it is newer.
+
     """
     if options.dry_run or options.replace_newer:
         return
@@ -99,7 +129,16 @@ def check_not_newer(options: argparse.Namespace, path: Path, recorded: datetime)
 
 
 def progress(what: str, unit: str) -> Callable[[Iterable[T]], Iterator[T]]:
-    """Wrap work in a bar on standard error, where that is a terminal; it leaves no trace."""
+    """Wrap work in a bar on standard error, where that is a terminal; it leaves no trace.
+
+    Args:
+        what: the bar's label.
+        unit: what it counts.
+
+    Returns:
+        A function that passes parts on, one by one, as they are worked through.
+
+    """
 
     def work(parts: Iterable[T]) -> Iterator[T]:
         total = len(parts) if isinstance(parts, Sized) else None
@@ -112,7 +151,19 @@ def progress(what: str, unit: str) -> Callable[[Iterable[T]], Iterator[T]]:
 
 
 def estimate_loads(options: argparse.Namespace) -> dict[str, Any]:
-    """Calibrate as the options say, print it unless as JSON; raises GalenError."""
+    """Calibrate as the options say, and print the result unless as JSON.
+
+    Args:
+        options: of `calibrate_from_bag.parse`; the file and its page are written, but for
+            `dry_run`.
+
+    Returns:
+        Fields of a live calibration's result, and what only a recording has, for JSON; SI.
+
+    Raises:
+        GalenError: the recordings give no file, or it can't be written.
+
+    """
     try:
         sweeps, calibration = _run(options)
     except EstimateError as error:

@@ -72,7 +72,16 @@ class PoseTable:
 
 
 def pose_table(sweeps: RecordedSweeps, calibration: Calibration) -> PoseTable:
-    """Return the poses with their residuals, those that were rejected, too."""
+    """Return the poses with their residuals, those that were rejected, too.
+
+    Args:
+        sweeps: the recorded sweeps; visits without an average are left out.
+        calibration: what was identified from them.
+
+    Returns:
+        The averaged poses of both sweeps, bare ones first.
+
+    """
     file, found, drift = calibration.content, calibration.found, calibration.found.bias_drift
     parts = []
     for name in _SWEEPS:
@@ -114,7 +123,17 @@ def pose_table(sweeps: RecordedSweeps, calibration: Calibration) -> PoseTable:
 def calibration_page(
     sweeps: RecordedSweeps, calibration: Calibration, settings: CalibrationParameters
 ) -> str:
-    """Return the page as HTML: one file that loads and runs nothing."""
+    """Return the page as HTML: one file that loads and runs nothing.
+
+    Args:
+        sweeps: the recorded sweeps.
+        calibration: what was identified from them.
+        settings: with which poses were averaged and judged.
+
+    Returns:
+        The page, with its pictures in it.
+
+    """
     file, found = calibration.content, calibration.found
     table = pose_table(sweeps, calibration)
     missing, advice = _missing(table, calibration)

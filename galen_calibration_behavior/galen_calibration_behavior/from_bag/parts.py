@@ -67,9 +67,18 @@ class Part:
 
 
 def add_part(options: argparse.Namespace) -> dict[str, Any]:
-    """Add inertia or cable as the options say; writes the file, but for `dry_run`.
+    """Add inertia or cable to a tool's file.
 
-    Raises GalenError; the file is then untouched.
+    Args:
+        options: of `calibrate_from_bag.parse`; `estimate` is one of the two. The file is written,
+            but for `dry_run`.
+
+    Returns:
+        What was found, for JSON; SI.
+
+    Raises:
+        GalenError: the recording does not give it; the file is then untouched.
+
     """
     path = calibration_path(options.tools_dir, options.tool)
     tool = read_calibration(path, options.parameters.arm)
@@ -105,7 +114,18 @@ def add_part(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def remove_cable(options: argparse.Namespace) -> dict[str, Any]:
-    """Remove the cable from the tool's file; raises GalenError where there is none."""
+    """Remove the cable from the tool's file.
+
+    Args:
+        options: of `calibrate_from_bag.parse`; the file is written, but for `dry_run`.
+
+    Returns:
+        Tool, file and whether it was removed, for JSON.
+
+    Raises:
+        GalenError: the file can't be read or written, or holds no cable.
+
+    """
     path = calibration_path(options.tools_dir, options.tool)
     tool = read_calibration(path, options.parameters.arm)
     if tool.cable is None:

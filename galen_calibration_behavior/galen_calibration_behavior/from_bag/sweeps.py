@@ -43,14 +43,30 @@ class HomeStays:
         self._zero_angles = np.asarray(zero_angles, dtype=float)
 
     def at_home(self, visit: Visit) -> bool:
-        """Whether it stands there, by its angles."""
+        """Return whether the arm stands at home, by its angles.
+
+        Args:
+            visit: a still phase.
+
+        Returns:
+            True within the tolerance of an arrival.
+
+        """
         away = np.abs(self._settings.arm.angles(visit.joints) - self._zero_angles)
         return bool(
             np.all(away <= self._settings.arm.angles(self._settings.arrival.position_tolerance))
         )
 
     def without_ends(self, visits: Sequence[Visit]) -> list[Visit]:
-        """Without the phases at home with which it begins and ends."""
+        """Leave out the phases at home with which a sweep begins and ends.
+
+        Args:
+            visits: still phases in the order of time.
+
+        Returns:
+            From the first to the last one away from home; those at home between them stay.
+
+        """
         away = [k for k, visit in enumerate(visits) if not self.at_home(visit)]
         return list(visits[away[0] : away[-1] + 1]) if away else []
 
@@ -61,6 +77,13 @@ class HomeStays:
         in both cases what was read before has another zero or load), and, where the zero did not
         change by enough to be seen, in the first stay at home, if the recording begins with it or
         with too few poses for a sweep.
+
+        Args:
+            recording: the visits of one recording.
+
+        Returns:
+            The visits, all of them where no zeroing is seen; and at most one warning.
+
         """
         visits = recording.visits
         stays = [
@@ -143,9 +166,19 @@ class SweepSorter:
         self._home = HomeStays(settings, zero_angles)
 
     def two_sweeps(self, recording: Visits, tool_on_at_s: float | None = None) -> RecordedSweeps:
-        """Both sweeps out of one recording; where the tool came on is found, or given.
+        """Sort both sweeps out of one recording.
 
-        Raises GalenError, also where it is not known where the tool came on.
+        Args:
+            recording: its visits, first without the tool, then with it.
+            tool_on_at_s: when the tool came on, s from the first joint state; None: it is found.
+
+        Returns:
+            The poses of both sweeps.
+
+        Raises:
+            GalenError: a sweep has too few poses or more than one load, or it is not clear where
+                the tool came on.
+
         """
         visits, warnings = self._home.after_zeroing(recording)
         visits = self._home.without_ends(visits)
@@ -175,7 +208,19 @@ class SweepSorter:
         return replace(done, border=border, tool_on_s=tool_on_s)
 
     def two_recordings(self, bare: Visits, tool: Visits) -> RecordedSweeps:
-        """Return a recording of each sweep; raises GalenError."""
+        """Take each sweep out of a recording of its own.
+
+        Args:
+            bare: visits without the tool.
+            tool: visits with the tool on.
+
+        Returns:
+            The poses of both sweeps.
+
+        Raises:
+            GalenError: a sweep has too few poses, or more than one load.
+
+        """
         parts, warnings = [], []
         for name, recording in (("bare", bare), ("tool", tool)):
             visits, lost = self._home.after_zeroing(recording)
@@ -184,15 +229,36 @@ class SweepSorter:
         return self._put_together(parts[0], parts[1], warnings, bare, tool)
 
     def one_sweep(self, recording: Visits) -> RecordedSweeps:
-        """Return a recording of the tool's sweep alone; raises GalenError."""
+        """Take the tool's sweep alone out of a recording.
+
+        Args:
+            recording: visits with the tool on.
+
+        Returns:
+            The poses, none of them bare.
+
+        Raises:
+            GalenError: the sweep has too few poses, or more than one load.
+
+        """
         visits, lost = self._home.after_zeroing(recording)
         poses = self._one_load_sweep("tool", recording, visits)
         return self._put_together([], poses, [*recording.warnings, *lost], recording)
 
     def still_poses(self, recording: Visits) -> tuple[list[RecordedPose], list[str]]:
-        """Return the poses of a sweep of one tool, and warnings; raises GalenError.
+        """Return the poses of a sweep of one tool, and warnings.
 
         Whether one load explains them is not asked: a cable's pull comes and goes with the pose.
+
+        Args:
+            recording: visits with the tool on.
+
+        Returns:
+            The poses, those with a fault too; and warnings.
+
+        Raises:
+            GalenError: the sweep has too few poses.
+
         """
         visits, lost = self._home.after_zeroing(recording)
         poses = self._judge("tool", recording, self._home.without_ends(visits))

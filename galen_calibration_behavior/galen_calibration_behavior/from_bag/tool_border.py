@@ -56,11 +56,23 @@ class Border:
 def find_border(
     gravity: Array, wrench: Array, std_of_mean: Array, left_out: np.ndarray | None = None
 ) -> Border:
-    """Find it among poses in visiting order, from gravity (n, 3) in the sensor, m/s^2.
+    """Find where the tool came on, among poses in visiting order.
 
-    wrench, std_of_mean (n, 6); `left_out` (n,) marks poses that are left out next to the border (at
-    home): borders with nothing but such poses between them are one and the same.
-    Raises IdentificationError for too few poses. The caller judges how clear the border is.
+    The caller judges how clear the border is.
+
+    Args:
+        gravity: (n, 3) in the sensor's frame, m/s^2.
+        wrench: (n, 6) mean readings, N and N.m.
+        std_of_mean: (n, 6) their standard deviations.
+        left_out: (n,) bool, poses that are left out next to the border (at home): borders with
+            nothing but such poses between them are one and the same. None: none is.
+
+    Returns:
+        The best border and the next best one.
+
+    Raises:
+        IdentificationError: there are too few poses.
+
     """
     count = len(gravity)
     if count < 2 * MIN_POSES:

@@ -42,7 +42,7 @@ class MeanReading:
 class Visit:
     """One still phase that is long enough for an average.
 
-    Stamps in ns; `log_ns` is when the phase's last joint state was received. joints (5,): the
+    Stamps in ns; `log_ns` is when the phase's last joint state was received. joints (n,): the
     phase's medians, m and rad. `first` and `last`: the reading once the arm had settled, and at the
     phase's end; None where there are too few wrenches.
     """
@@ -80,7 +80,15 @@ class Visits:
         return int(self.recording.joint_stamp_ns[0])
 
     def time_s(self, stamp_ns: int) -> float:
-        """Seconds from the recording's begin."""
+        """Return the time from the recording's begin.
+
+        Args:
+            stamp_ns: a sample's stamp, ns.
+
+        Returns:
+            Seconds after the first joint state's stamp.
+
+        """
         return (stamp_ns - self.origin_ns) / NS
 
 
@@ -91,9 +99,19 @@ def find_visits(
 ) -> Visits:
     """Average and judge every still phase.
 
-    An average begins when the arm has settled and is as long as a live one. `progress` wraps the
-    phases while they are worked through. Raises GalenError for a recording in which nothing is
-    still, or that does not hold what it must.
+    An average begins when the arm has settled and is as long as a live one.
+
+    Args:
+        recording: joint states and wrenches.
+        settings: of stillness and averages, as the live node's.
+        progress: wraps the phases while they are worked through.
+
+    Returns:
+        The phases that are long enough for an average, and warnings.
+
+    Raises:
+        GalenError: nothing is still in the recording, or it does not hold what it must.
+
     """
     _check_frames(recording, settings)
     warnings = [*recording.problems, *_stamp_warnings(recording, settings)]

@@ -186,12 +186,28 @@ def plan_check(
     tip_m: Array,
     arm: Arm,
 ) -> SweepPlan:
-    """Choose angles (count, k) within `reach_rad` of the joints `here` (n,) and the limits.
+    """Choose a check's poses near the present one.
 
-    tip_m (3,): the tool's tip in ft_sensor. Where the arm stands near a limit the grid is moved
-    away from it, not made smaller. Raises PoseDesignError or NotExcitedError for too small a reach,
-    ObstacleError where boxes leave too little, the arm stands too near to one, or the tip is not
-    known.
+    Where the arm stands near a limit the grid is moved away from it, not made smaller.
+
+    Args:
+        here: joints (n,) where the arm stands, m and rad.
+        reach_rad: poses lie within this of the present angles, rad, and within the limits.
+        count: number of poses.
+        times: of moves and stays, for the order of the poses.
+        surroundings: boxes to keep away from.
+        tip_m: the tool's tip (3,), m in ft_sensor.
+        arm: whose poses they are.
+
+    Returns:
+        Angles (count, k), rad, in visiting order, and free ways between them.
+
+    Raises:
+        PoseDesignError: the reach is too small.
+        NotExcitedError: likewise.
+        ObstacleError: boxes leave too little, the arm stands too near to one, or the tip is not
+            known.
+
     """
     if surroundings.boxes and not np.any(tip_m):
         raise ObstacleError(

@@ -74,7 +74,12 @@ class CalibrateClient(GoalClient):
         )
 
     def on_feedback(self, feedback: Any) -> None:
-        """Show it, and ask a person where the node waits for one."""
+        """Show it, and ask a person where the node waits for one.
+
+        Args:
+            feedback: a CalibrateTool.Feedback.
+
+        """
         self._show(feedback)
         asks = feedback.state in (CalibrationState.REMOVE_TOOL, CalibrationState.ATTACH_TOOL)
         by_person = self.options.confirm or self.options.by_hand
@@ -122,7 +127,18 @@ class CalibrateClient(GoalClient):
 
 
 def parse(arguments: list[str]) -> argparse.Namespace:
-    """Read the command line; exits with code 2 and a message where it is wrong."""
+    """Read the command line.
+
+    Args:
+        arguments: without the program's name and without those of ROS.
+
+    Returns:
+        The options; either `tool` or `cancel` is set.
+
+    Raises:
+        SystemExit: code 2, with a message: the command line is wrong.
+
+    """
     parser = make_parser(
         "calibrate",
         "Calibrate a tool on the arm: sweep over still poses, write the tool's file.",

@@ -143,7 +143,19 @@ class CalibrateAction(ArmAction):
         )
 
     def make_goal(self, handle: ServerGoalHandle) -> _Calibrating:
-        """Return the goal to run; raises RejectedGoalError."""
+        """Make the goal to run, with its poses where it is known where the arm stands.
+
+        Args:
+            handle: the goal's, with its request.
+
+        Returns:
+            The goal, whose procedure has not begun.
+
+        Raises:
+            RejectedGoalError: the request is wrong, the poses can't be had, or the file can't be
+                written.
+
+        """
         request, settings = handle.request, self.node.settings
         for name, count in (("iters_t", request.iters_t), ("iters_r", request.iters_r)):
             if count > MAX_ITERS:
@@ -194,17 +206,45 @@ class CalibrateAction(ArmAction):
         return _Calibrating(self, handle, procedure, path, tip_m, warnings)
 
     def introduce(self, goal: _Calibrating) -> str:
-        """Describe in the log what begins."""
+        """Describe in the log what begins.
+
+        Args:
+            goal: the goal that begins.
+
+        Returns:
+            Number of poses, and the tool's file.
+
+        """
         return f"{goal.procedure.progress[1]} poses, file {goal.path}"
 
     def make_end(self, code: IntEnum, message: str, goal: _Calibrating | None) -> End:
-        """Return an end that the procedure doesn't know of."""
+        """Return an end that the procedure doesn't know of.
+
+        Args:
+            code: one of CalibrationCode.
+            message: the reason.
+            goal: the goal that ends; None: it was rejected.
+
+        Returns:
+            The end, without poses and warnings.
+
+        """
         return PosesEnd(CalibrationCode(code), message)
 
     def make_result(
         self, handle: ServerGoalHandle, end: PosesEnd, goal: _Calibrating | None
     ) -> tuple[CalibrateTool.Result, str]:
-        """Return the action's result, and a sentence for /diagnostics."""
+        """Return the action's result, and a sentence for /diagnostics.
+
+        Args:
+            handle: the goal's, with its request.
+            end: the procedure's, or of `make_end`.
+            goal: the goal that ended; None: it was rejected.
+
+        Returns:
+            The result, with the file's loads where one was written; and the sentence.
+
+        """
         tool, shown = handle.request.tool, named(handle.request.tool)
         calibration = None if goal is None else goal.calibration
         last = f"{shown} not calibrated: {end.error_code.name}: {end.error_msg}"
@@ -237,14 +277,30 @@ class CalibrateAction(ArmAction):
         return not request.by_hand or self._zero_client.service_is_ready()
 
     def needed_clients(self, goal: _Calibrating) -> list[Client]:
-        """Return the clients of the services that the goal can't do without."""
+        """Return the clients of the services that the goal can't do without.
+
+        Args:
+            goal: the goal that begins.
+
+        Returns:
+            Clients of `zero_ft_sensor` and `attach_tool`, as far as the goal calls them.
+
+        """
         request = goal.handle.request
         settled = request.by_hand or self.node.settings.zeroing == "none"
         zero = [] if settled else [self._zero_client]
         return [*zero, self._attach_client] if request.attach_by_service else zero
 
     def find_missing(self, goal: _Calibrating) -> tuple[IntEnum, str] | None:
-        """Ask a driver that changes tools whether it knows this one, before the arm moves."""
+        """Ask a driver that changes tools whether it knows this one, before the arm moves.
+
+        Args:
+            goal: the goal that begins; it fails where the driver lacks the tool.
+
+        Returns:
+            While the driver has not answered: the code and reason should it never; None: go on.
+
+        """
         request = goal.handle.request
         if not request.attach_by_service:
             return None
@@ -264,7 +320,13 @@ class CalibrateAction(ArmAction):
         return None
 
     def obey(self, goal: _Calibrating, command: Any) -> None:
-        """Give feedback, call the driver's services, estimate."""
+        """Give feedback, call the driver's services, estimate.
+
+        Args:
+            goal: the goal that runs.
+            command: what its procedure asks for.
+
+        """
         node, on_service = self.node, goal.procedure.on_service
         match command:
             case PoseFeedback():
@@ -345,11 +407,27 @@ class CalibrateAction(ArmAction):
     # ---- diagnostics
 
     def status_values(self, goal: _Calibrating) -> dict[str, object]:
-        """Return whether it waits for a person."""
+        """Return whether the goal waits for a person.
+
+        Args:
+            goal: the goal that runs.
+
+        Returns:
+            Values for /diagnostics.
+
+        """
         return {"waits_for_person": goal.procedure.waiting_for_person}
 
     def status_remark(self, goal: _Calibrating) -> str:
-        """Return what it waits for."""
+        """Return what the goal waits for.
+
+        Args:
+            goal: the goal that runs.
+
+        Returns:
+            Text after the progress in /diagnostics; empty where it doesn't wait for a person.
+
+        """
         return "; waits for ~/confirm" if goal.procedure.waiting_for_person else ""
 
 

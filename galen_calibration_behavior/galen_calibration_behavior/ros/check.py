@@ -56,7 +56,12 @@ class CheckClient(GoalClient):
         return CheckTool.Goal(tool=self.options.tool, poses=self.options.poses)
 
     def on_feedback(self, feedback: Any) -> None:
-        """Show it: the bar, or without a terminal a line for each; and each bad pose."""
+        """Show it: the bar, or without a terminal a line for each; and each bad pose.
+
+        Args:
+            feedback: a CheckTool.Feedback.
+
+        """
         self.bar.show("checking", feedback.done, feedback.total)
         rejected = len(feedback.angles) > 0 and not feedback.accepted
         if rejected or not self.bar.active:
@@ -64,7 +69,19 @@ class CheckClient(GoalClient):
 
 
 def parse(arguments: list[str]) -> argparse.Namespace:
-    """Read the command line; exits with code 2 and a message where it is wrong."""
+    """Read the command line.
+
+    Args:
+        arguments: without the program's name and without those of ROS.
+
+    Returns:
+        The options; `tool` is empty where the active one is meant, `poses` 0 where the node
+        decides.
+
+    Raises:
+        SystemExit: code 2, with a message: the command line is wrong.
+
+    """
     parser = make_parser(
         "check",
         "Check at a few poses whether a tool's calibration file still fits.",
@@ -95,7 +112,15 @@ def main() -> None:
 
 
 def result_fields(result: Any) -> dict[str, Any]:
-    """Return a CheckTool.Result for JSON: answer and cause as words, no NaN."""
+    """Return a check's result for JSON: answer and cause as words, no NaN.
+
+    Args:
+        result: a CheckTool.Result.
+
+    Returns:
+        Its fields by name, SI; answer and cause are None where it failed.
+
+    """
     content = result_to_dict(result)
     if result.error_code == CheckCode.NONE:
         content |= {"answer": CheckAnswer(result.answer).name, "cause": Cause(result.cause).name}
@@ -108,7 +133,15 @@ def result_fields(result: Any) -> dict[str, Any]:
 
 
 def format_result(result: Any) -> str:
-    """Return a CheckTool.Result for a person; one standard deviation after +-."""
+    """Format a check's result for a person; one standard deviation after +-.
+
+    Args:
+        result: a CheckTool.Result without an error.
+
+    Returns:
+        Several lines, in N, mN.m and g.
+
+    """
     lines = [
         f"{_HEADS[CheckAnswer(result.answer)]}: {result.tool}: {result.text}",
         "",

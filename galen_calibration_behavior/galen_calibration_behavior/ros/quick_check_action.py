@@ -46,13 +46,29 @@ class CheckAction(ArmAction):
     # ---- the action
 
     def subject_of(self, request: Any) -> str:
-        """Return the tool's name; without one that of the active tool."""
+        """Return the tool's name; without one that of the active tool.
+
+        Args:
+            request: a CheckTool.Goal.
+
+        Returns:
+            The name; empty where gravcomp has no tool, or none runs.
+
+        """
         if request.tool or self._active is None:
             return str(request.tool)
         return str(self._active.tool)
 
     def rejection(self, request: Any) -> str:
-        """Return why there is no tool to check; empty where there is one."""
+        """Return why there is no tool to check.
+
+        Args:
+            request: a CheckTool.Goal.
+
+        Returns:
+            The reason with its remedy; empty where there is a tool.
+
+        """
         if not self.node.count_publishers("gravcomp/active_tool"):
             self._active = None  # a node that is gone subtracts nothing
         if self.subject_of(request):
@@ -61,7 +77,18 @@ class CheckAction(ArmAction):
         return f"the goal names no tool, and {why}: name the tool that is on, as in 'check pointer'"
 
     def make_goal(self, handle: ServerGoalHandle) -> RunningGoal:
-        """Return the goal to run; raises RejectedGoalError."""
+        """Make the goal to run.
+
+        Args:
+            handle: the goal's, with its request.
+
+        Returns:
+            The goal, whose procedure has not begun.
+
+        Raises:
+            RejectedGoalError: the number of poses is wrong, or the tool's file can't be read.
+
+        """
         name, poses = self.subject_of(handle.request), handle.request.poses
         settings = self.node.settings
         if poses and not FEWEST_POSES <= poses <= MOST_CHECK_POSES:
@@ -106,17 +133,45 @@ class CheckAction(ArmAction):
         return taken_off
 
     def introduce(self, goal: RunningGoal) -> str:
-        """Describe in the log what begins."""
+        """Describe in the log what begins.
+
+        Args:
+            goal: the goal that begins.
+
+        Returns:
+            Number of poses.
+
+        """
         return f"{goal.procedure.progress[1]} poses"
 
     def make_end(self, code: IntEnum, message: str, goal: RunningGoal | None) -> End:
-        """Return an end that the procedure doesn't know of."""
+        """Return an end that the procedure doesn't know of.
+
+        Args:
+            code: one of CheckCode.
+            message: the reason.
+            goal: the goal that ends; None: it was rejected.
+
+        Returns:
+            The end, without poses and warnings.
+
+        """
         return PosesEnd(CheckCode(code), message)
 
     def make_result(
         self, handle: ServerGoalHandle, end: PosesEnd, goal: RunningGoal | None
     ) -> tuple[CheckTool.Result, str]:
-        """Return the action's result, and a sentence for /diagnostics."""
+        """Return the action's result, and a sentence for /diagnostics.
+
+        Args:
+            handle: the goal's, with its request.
+            end: the procedure's, or of `make_end`.
+            goal: the goal that ended; None: it was rejected.
+
+        Returns:
+            The result, with what the check found where it came to an end; and the sentence.
+
+        """
         name = self.subject_of(handle.request)
         shown = named(name)
         result = CheckTool.Result(
@@ -145,7 +200,13 @@ class CheckAction(ArmAction):
     # ---- commands
 
     def obey(self, goal: RunningGoal, command: Any) -> None:
-        """Give feedback."""
+        """Give feedback.
+
+        Args:
+            goal: the goal that runs.
+            command: what its procedure asks for; all but feedback is ignored.
+
+        """
         if not isinstance(command, PoseFeedback):
             return
         goal.handle.publish_feedback(

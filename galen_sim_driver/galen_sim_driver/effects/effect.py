@@ -160,17 +160,41 @@ class Effect:
     # --- on an arm ----------------------------------------------------------------------------
 
     def limit_names(self, arm: Arm) -> tuple[str, ...]:
-        """Return all names on an arm under which a specification may limit it."""
+        """Return all names on an arm under which a specification may limit it.
+
+        Args:
+            arm: the nominal one.
+
+        Returns:
+            Such as the arm's joints or the sensor's axes; an empty name: the effect as a whole.
+
+        """
         return self.limit_parts
 
     @classmethod
     def kind_of(cls, arm: Arm) -> type[Effect]:
-        """Return the effect as an arm has it, whose numbers may be other ones."""
+        """Return the effect as an arm has it, whose numbers may be other ones.
+
+        Args:
+            arm: the nominal one.
+
+        Returns:
+            This class, or one of the same name for that arm.
+
+        """
         return cls
 
     @classmethod
     def none_of(cls, arm: Arm) -> Iterable[Effect]:
-        """Return the effect at each place of an arm where it can be, changing nothing."""
+        """Return the effect at each place of an arm where it can be, changing nothing.
+
+        Args:
+            arm: the nominal one.
+
+        Returns:
+            One effect, or of an effect of a joint one a joint.
+
+        """
         return [cls.kind_of(arm)()]
 
     # --- numbers ------------------------------------------------------------------------------
@@ -190,7 +214,15 @@ class Effect:
         )
 
     def with_vector(self, vector: Array) -> Self:
-        """Return the same effect with other numbers."""
+        """Return the same effect with other numbers.
+
+        Args:
+            vector: as `vector` gives it, in the units of `fitted`.
+
+        Returns:
+            A new effect, unchecked.
+
+        """
         values, at = {}, 0
         for p in self.fitted:
             part = vector[at : at + p.size]
@@ -199,7 +231,15 @@ class Effect:
         return replace(self, **values)
 
     def in_session(self, starts: Mapping[str, float]) -> Self:
-        """Return the effect with its time since the session's start; starts: of its bags, s."""
+        """Return the effect with its time since the session's start.
+
+        Args:
+            starts: first stamp of each bag, by its name, s since the session's.
+
+        Returns:
+            The same effect where it has no time of its own.
+
+        """
         return self
 
     def fresh(self) -> Effect:
@@ -219,62 +259,186 @@ class Effect:
         return 0.0
 
     def true_joints(self, when: Instants, joints: Array) -> Array:
-        """Return true joints (n, k) of reported ones."""
+        """Return the true joints of reported ones.
+
+        Args:
+            when: times of the n samples.
+            joints: reported (n, k), m and rad; not to be changed.
+
+        Returns:
+            True joints (n, k), m and rad.
+
+        """
         return joints
 
     def arm(self, arm: Arm) -> Arm:
-        """Return the arm with its true stiffness."""
+        """Return the arm with its true stiffness.
+
+        Args:
+            arm: the nominal one, with the effects before this one.
+
+        Returns:
+            The same arm where nothing changes.
+
+        """
         return arm
 
     def misaligned(self, arm: Arm) -> Arm:
-        """Return the arm with its true geometry, which poses follow and springs don't."""
+        """Return the arm with its true geometry, which poses follow and springs don't.
+
+        Args:
+            arm: the one with its true stiffness, and the effects before this one.
+
+        Returns:
+            The same arm where nothing changes.
+
+        """
         return arm
 
     def gravity(self, gravity_base: Array) -> Array:
-        """Return gravity (3,) in base_link, m/s^2."""
+        """Return true gravity in base_link.
+
+        Args:
+            gravity_base: nominal (3,), m/s^2, in base_link.
+
+        Returns:
+            True (3,), m/s^2.
+
+        """
         return gravity_base
 
     def tool_load(self, mass_kg: float, com_m: Array, direction: Array) -> tuple[float, Array]:
-        """Return true mass and centre (n, 3) in ft_sensor; direction (n, 3) is gravity's there."""
+        """Return the tool's true mass and centre.
+
+        Args:
+            mass_kg: as the tool's file has it, kg.
+            com_m: centre (n, 3) in ft_sensor, m.
+            direction: of gravity (n, 3) in ft_sensor, unit vectors; zeros where it is not known.
+
+        Returns:
+            Mass, kg, and centre (n, 3) in ft_sensor, m.
+
+        """
         return mass_kg, com_m
 
     def wrench(self, when: Instants, posture: Posture) -> Array | None:
-        """Return what else acts on the sensor (n, 6), about its origin; None for nothing."""
+        """Return what else acts on the sensor.
+
+        Args:
+            when: times of the n samples.
+            posture: the true arm and its loads.
+
+        Returns:
+            Wrench (n, 6) about the sensor's origin in ft_sensor, N and N.m; None for nothing.
+
+        """
         return None
 
     def read(self, when: Instants, wrench: Array) -> Array:
-        """Return the reading (n, 6) of a true wrench."""
+        """Return the reading of a wrench.
+
+        Args:
+            when: times of the n samples.
+            wrench: (n, 6) in ft_sensor, N and N.m, the zero subtracted; with the effects before
+                this one.
+
+        Returns:
+            Reading (n, 6), N and N.m.
+
+        """
         return wrench
 
     def unread(self, when: Instants, reading: Array) -> Array:
-        """Return the true wrench (n, 6) of a reading."""
+        """Return the wrench of a reading: the inverse of `read`.
+
+        Args:
+            when: times of the n samples.
+            reading: (n, 6), N and N.m.
+
+        Returns:
+            Wrench (n, 6) in ft_sensor, N and N.m; what `read` has lost is not found again.
+
+        """
         return reading
 
     def deflect(self, when: Instants, loading: Loading) -> Array | None:
-        """Return the tip's displacement (n, 6) beside the elastic one, in base_link, or None."""
+        """Return the tip's displacement beside the elastic one.
+
+        Args:
+            when: times of the n samples.
+            loading: joints, and the wrench that bends the arm.
+
+        Returns:
+            Translation and rotation vector (n, 6) in base_link, m and rad; None for nothing.
+
+        """
         return None
 
     def seen(self, when: Instants, position: Array) -> Array:
-        """Return the tracker's reading of a marker's position (n, 3) in its frame."""
+        """Return the tracker's reading of a marker's position.
+
+        Args:
+            when: times of the n samples.
+            position: true (n, 3) in the tracker's frame, m.
+
+        Returns:
+            Reading (n, 3) in the tracker's frame, m.
+
+        """
         return position
 
     def base_marker(self, when: Instants) -> Array | None:
-        """Return the base marker's displacement (n, 6) in base_link, m and rad, or None."""
+        """Return the base marker's displacement.
+
+        Args:
+            when: times of the n samples.
+
+        Returns:
+            Translation and rotation vector (n, 6) in base_link, m and rad; None for nothing.
+
+        """
         return None
 
 
 def in_order(effects: Iterable[Effect]) -> tuple[Effect, ...]:
-    """Effects as they come one after the other, by `order`; equals as they are given."""
+    """Sort effects as they come one after the other, by `order`.
+
+    Args:
+        effects: any effects.
+
+    Returns:
+        The same ones; equals as they are given.
+
+    """
     return tuple(sorted(effects, key=lambda effect: effect.order))
 
 
 def added(parts: Iterable[Array | None]) -> Array | None:
-    """Return the sum of the parts that there are; None for none."""
+    """Add the parts that there are.
+
+    Args:
+        parts: arrays of one shape, or None for nothing.
+
+    Returns:
+        Their sum; None where there is none.
+
+    """
     given = [part for part in parts if part is not None]
     return sum(given[1:], given[0]) if given else None
 
 
 def check_choice(effect: str, name: str, value: str, choices: Iterable[str]) -> None:
-    """Raise ConfigError unless `value` is one of the choices."""
+    """Check that a value is one of the choices.
+
+    Args:
+        effect: name of the effect, for the message.
+        name: that of its parameter.
+        value: what was asked for.
+        choices: all that can be.
+
+    Raises:
+        ConfigError: it is none of them.
+
+    """
     if value not in choices:
         raise ConfigError(f"{effect}: {name} is {value!r}, not one of {', '.join(choices)}")

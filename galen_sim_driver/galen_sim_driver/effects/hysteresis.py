@@ -96,7 +96,14 @@ from galen_sim_driver.effects.effect import (
 def slide(ratio: float, phi: Array, change: Array) -> Array:
     """Return friction over F_c after a straight change of the load over F_c.
 
-    ratio: a. phi: the friction before.
+    Args:
+        ratio: a.
+        phi: friction over F_c before, any shape.
+        change: of the load over F_c, the same shape.
+
+    Returns:
+        Friction over F_c, -1 to 1, the same shape.
+
     """
     sign = np.sign(change)
     gap = 1.0 - sign * phi
@@ -108,19 +115,45 @@ def slide(ratio: float, phi: Array, change: Array) -> Array:
 
 
 def residual_fraction(ratio: float, way: float) -> float:
-    """Return y_0 / Y of a first push to Y = `way`; `ratio` is a."""
+    """Return y_0 / Y of a first push and back to no load.
+
+    Args:
+        ratio: a.
+        way: Y, at the push's largest load.
+
+    Returns:
+        The residual fraction.
+
+    """
     left = ratio - scipy.special.lambertw(ratio * (2.0 - np.exp(-way)) * np.exp(ratio - way)).real
     return float(left / way)
 
 
 def load_of(ratio: float, way: float) -> float:
-    """Return the load over F_c that takes a joint without friction to Y = `way`."""
+    """Return the load over F_c that takes a joint without friction before to Y.
+
+    Args:
+        ratio: a.
+        way: Y.
+
+    Returns:
+        The load u / F_c.
+
+    """
     return float(way / ratio - np.expm1(-way))
 
 
 @cache
 def shape(largest_fraction: float) -> tuple[float, float]:
-    """Return the ratio a with this largest residual fraction, and its way Y."""
+    """Find the friction whose largest residual fraction is as asked for.
+
+    Args:
+        largest_fraction: y_0 / Y at the load where it is largest; above 0.
+
+    Returns:
+        The ratio a, and the way Y of that load.
+
+    """
 
     def peak(ratio: float) -> float:
         # Little friction has its peak at Y = 1.26, much friction at Y near a.
@@ -143,9 +176,15 @@ def shape(largest_fraction: float) -> tuple[float, float]:
 
 
 def joint_stiffness(arm: Arm) -> Array:
-    """Return the stiffness of the joints, N/m and N.m/rad: inf of a rigid one.
+    """Return the stiffness of the joints.
 
-    The three carriages of a delta are its first joints, and its six rods come last.
+    Args:
+        arm: with its stiffness as it is.
+
+    Returns:
+        (k,), N/m and N.m/rad, inf of a rigid joint. The three carriages of a delta are its first
+        joints, and its six rods come last.
+
     """
     k = [joint.stiffness for joint in arm.joints]
     if arm.delta is not None:
@@ -154,9 +193,16 @@ def joint_stiffness(arm: Arm) -> Array:
 
 
 def joint_columns(joints: ArrayLike, tip_m: ArrayLike, arm: Arm) -> Array:
-    """Return the tip's twist in base_link over what each joint gives, as `joint_stiffness` has it.
+    """Return the tip's twist over what each joint gives.
 
-    joints (k,): m, rad. tip_m (3,): in ft_sensor.
+    Args:
+        joints: of the arm, m and rad.
+        tip_m: (3,) in ft_sensor, m.
+        arm: whose joints they are.
+
+    Returns:
+        Twists (6, k) in base_link, a column for each of the joints as `joint_stiffness` has them.
+
     """
     q = np.asarray(joints, dtype=float)
     columns, delta = arm.tip_jacobian(q, tip_m), arm.delta
@@ -169,9 +215,17 @@ def joint_columns(joints: ArrayLike, tip_m: ArrayLike, arm: Arm) -> Array:
 
 
 def turning_points(values: Array, gate: float) -> np.ndarray:
-    """Return increasing indices at which values (n,) turn by more than `gate`; the first is 0.
+    """Find where values turn.
 
     A turn is where the values were farthest, before they came back by more than the gate.
+
+    Args:
+        values: (n,), in the order of time; n at least 1.
+        gate: least way back that is a turn, in the unit of the values.
+
+    Returns:
+        Increasing indices; the first is 0.
+
     """
     turns = [0]
     far, since = np.abs(values - values[0]) > gate, np.arange(len(values))
@@ -203,10 +257,19 @@ def along_turns(
     before: Array,
     start: Array,
 ) -> Array:
-    """Return states (n, k) of k frictions under loads (n, k), from `before` and `start` on.
+    """Return the states of k frictions along their loads.
 
-    before, start (k,): load and state of the last sample. gates (k,). slide(states, changes) gives
-    the states after the loads have changed straight by `changes`, for arrays (..., k).
+    Args:
+        loads: (n, k).
+        gates: (k,), in the loads' units: swings below are none.
+        slide: gives the states after the loads have changed straight, of states and changes (...,
+            k).
+        before: (k,) loads of the sample before the first.
+        start: (k,) states of the sample before the first.
+
+    Returns:
+        States (n, k).
+
     """
     path = np.concatenate([before[None], loads])
     turns = [turning_points(column, gate) for column, gate in zip(path.T, gates, strict=True)]
@@ -276,7 +339,7 @@ class _Memory:
 class DeflectionHysteresis(Effect):
     """`residual_fraction` of the deflection is left, on the load's side or on the other.
 
-    `vector` holds the fraction with its side's sign, and the knee.
+    `vector` holds the fraction with its side's sign, the knee and the softness.
     """
 
     name = "deflection_hysteresis"
@@ -326,6 +389,15 @@ class DeflectionHysteresis(Effect):
         return np.array([self.side * self.residual_fraction, self.knee, self.softness])
 
     def with_vector(self, vector: Array) -> Self:
+        """Return the same effect with other numbers.
+
+        Args:
+            vector: signed fraction, knee and softness.
+
+        Returns:
+            A new effect with the side of the fraction's sign.
+
+        """
         signed = float(vector[0])
         return replace(
             self,
@@ -342,6 +414,16 @@ class DeflectionHysteresis(Effect):
         return new
 
     def deflect(self, when: Instants, loading: Loading) -> Array | None:
+        """Return what friction takes from the elastic displacement, or adds to it.
+
+        Args:
+            when: times of the n samples.
+            loading: joints, and the wrench that bends the arm.
+
+        Returns:
+            Translation and rotation vector (n, 6) in base_link, m and rad; None for nothing.
+
+        """
         if self.changes_nothing or not len(when):
             return None
         memory = self._memory or _Memory()
@@ -404,7 +486,15 @@ class DeflectionHysteresis(Effect):
 
 
 def columns_at(loading: Loading) -> Array:
-    """Return the twist of the tip (n, 6, k) over what each joint gives."""
+    """Return the twist of the tip over what each joint gives, at every sample.
+
+    Args:
+        loading: n samples; places nearer than 0.2 mm and mrad share their twists.
+
+    Returns:
+        Twists (n, 6, k) in base_link, as `joint_columns` has them.
+
+    """
     # The arm stands most of the time.
     keys = np.round(loading.joints / _STILL_POSE_M).astype(np.int64)
     new = np.concatenate([[True], np.any(np.diff(keys, axis=0) != 0, axis=1)])
@@ -481,6 +571,16 @@ class DeflectionCreep(Effect):
         return new
 
     def deflect(self, when: Instants, loading: Loading) -> Array | None:
+        """Return what has crept until each sample.
+
+        Args:
+            when: times of the n samples; those of the session count.
+            loading: of which the elastic displacement counts.
+
+        Returns:
+            Translation and rotation vector (n, 6) in base_link, m and rad; None for nothing.
+
+        """
         if self.fraction == 0.0 or not len(when):
             return None
         memory = self._memory or _Crept()

@@ -91,17 +91,44 @@ class AtJoint(Effect):
 
     @classmethod
     def of(cls, arm: Arm, joint: str) -> Self:
-        """Return the effect at a joint of an arm, changing nothing."""
+        """Return the effect at a joint of an arm, changing nothing.
+
+        Args:
+            arm: the nominal one.
+            joint: name of the joint.
+
+        Returns:
+            The effect, with its defaults.
+
+        """
         return cls(joint=joint, nominal=arm)
 
     @classmethod
     def none_of(cls, arm: Arm) -> Iterable[Effect]:
+        """Return the effect at each revolute joint, or at the last one where it is not of a joint.
+
+        Args:
+            arm: the nominal one.
+
+        Returns:
+            Effects that change nothing.
+
+        """
         joints = (
             arm.turning_names if cls.of_a_joint else (arm.turning_names or arm.joint_names)[-1:]
         )
         return [cls.of(arm, joint) for joint in joints]
 
     def limit_names(self, arm: Arm) -> tuple[str, ...]:
+        """Return all names on an arm under which a specification may limit it.
+
+        Args:
+            arm: the nominal one.
+
+        Returns:
+            The joints' names, for an effect of a joint; else `limit_parts`.
+
+        """
         return arm.joint_names if self.of_a_joint else self.limit_parts
 
     @property
@@ -124,6 +151,16 @@ class JointZeroOffset(AtJoint):
     offset_rad: float = param(0.0, "true angle minus the reported one, rad", -0.5, 0.5)
 
     def true_joints(self, when: Instants, joints: Array) -> Array:
+        """Add the offset to the joint's reported angle.
+
+        Args:
+            when: not used.
+            joints: reported (n, k), m and rad.
+
+        Returns:
+            True joints (n, k).
+
+        """
         true = joints.copy()
         true[:, self.index] += self.offset_rad
         return true
@@ -139,6 +176,16 @@ class JointGain(AtJoint):
     gain: float = param(0.0, "true angle over the reported one, minus 1", -0.5, 0.5)
 
     def true_joints(self, when: Instants, joints: Array) -> Array:
+        """Multiply the joint's reported angle by 1 + gain.
+
+        Args:
+            when: not used.
+            joints: reported (n, k), m and rad.
+
+        Returns:
+            True joints (n, k).
+
+        """
         true = joints.copy()
         true[:, self.index] *= 1.0 + self.gain
         return true
@@ -175,6 +222,15 @@ class JointEccentricity(AtJoint):
         return np.array([self.amplitude_rad * sine, self.amplitude_rad * cosine, self.cycles])
 
     def with_vector(self, vector: Array) -> Self:
+        """Return the same effect with other numbers.
+
+        Args:
+            vector: what multiplies sine and cosine, rad, and cycles.
+
+        Returns:
+            A new effect with their amplitude and phase.
+
+        """
         sine, cosine, cycles = vector.tolist()
         return replace(
             self,
@@ -184,6 +240,16 @@ class JointEccentricity(AtJoint):
         )
 
     def true_joints(self, when: Instants, joints: Array) -> Array:
+        """Add the periodic error to the joint's reported angle.
+
+        Args:
+            when: not used.
+            joints: reported (n, k), m and rad.
+
+        Returns:
+            True joints (n, k).
+
+        """
         true = joints.copy()
         turned = self.cycles * joints[:, self.index] + self.phase_rad
         true[:, self.index] += self.amplitude_rad * np.sin(turned)
@@ -209,6 +275,16 @@ class JointAxisMisalignment(AtJoint):
 
     @classmethod
     def of(cls, arm: Arm, joint: str) -> Self:
+        """Return the effect at a joint, about z of its parent link, or about x where its axis is z.
+
+        Args:
+            arm: the nominal one.
+            joint: name of the joint.
+
+        Returns:
+            The effect, changing nothing.
+
+        """
         own = arm.joints[arm.joint_names.index(joint)]
         axis = own.axis if own.rotation is None else own.rotation @ own.axis
         # Turned about itself an axis stays where it is.
@@ -216,6 +292,15 @@ class JointAxisMisalignment(AtJoint):
         return replace(super().of(arm, joint), about=about)
 
     def misaligned(self, arm: Arm) -> Arm:
+        """Turn the joint's axis.
+
+        Args:
+            arm: as it is without this effect.
+
+        Returns:
+            The arm with the other axis.
+
+        """
         joints = list(arm.joints)
         joint = joints[self.index]
         turn = _ABOUT[self.about](self.angle_rad)
@@ -243,6 +328,15 @@ class BaseInclination(Effect):
 
     @classmethod
     def kind_of(cls, arm: Arm) -> type[BaseInclination]:
+        """Return the effect as an arm has it: two of its angles are fitted.
+
+        Args:
+            arm: the nominal one, whose gravity in the base counts.
+
+        Returns:
+            The effect of `base_inclination`.
+
+        """
         return base_inclination(arm.gravity_m_s2)
 
     @property
@@ -255,6 +349,15 @@ class BaseInclination(Effect):
         return not np.any(self.angles_rad)
 
     def gravity(self, gravity_base: Array) -> Array:
+        """Turn gravity with the inclined base.
+
+        Args:
+            gravity_base: (3,), m/s^2, in the base as it should stand.
+
+        Returns:
+            (3,), m/s^2, in base_link.
+
+        """
         return inclination(self.angles_rad) @ gravity_base
 
 
@@ -269,7 +372,15 @@ class _InclinationXZ(BaseInclination):
 
 
 def base_inclination(gravity_m_s2: Array) -> type[BaseInclination]:
-    """Return the effect under gravity (3,) in the base: which two of its angles tell."""
+    """Return the effect whose two angles show, under a direction of gravity.
+
+    Args:
+        gravity_m_s2: nominal (3,) in the base.
+
+    Returns:
+        The effect that fits the angles about the two axes across gravity.
+
+    """
     kinds = {"xy": BaseInclination, "yz": _InclinationYZ, "xz": _InclinationXZ}
     return kinds[inclination_axes(gravity_m_s2)]
 
@@ -358,19 +469,43 @@ class _Compliance(Effect):
 
 
 def stiffness_field(spring: str) -> str:
-    """Return the field of a compliance that holds the stiffness of a joint, carriage or rod."""
+    """Return the field of a compliance that holds the stiffness of a joint, carriage or rod.
+
+    Args:
+        spring: name of the joint, or "carriage" or "rod".
+
+    Returns:
+        The field's name, after "k_".
+
+    """
     return "k_" + as_word(spring)
 
 
 def as_word(name: str) -> str:
-    """Return a joint's name with nothing in it but letters, digits and underscores."""
+    """Return a joint's name with nothing in it but letters, digits and underscores.
+
+    Args:
+        name: as the robot description has it.
+
+    Returns:
+        The name with "_" for all other signs.
+
+    """
     return re.sub(r"\W", "_", name, flags=re.ASCII)
 
 
 def compliance(arm: Arm) -> type[Any]:
     """Return the effect `joint_compliance` of an arm, with a field for each stiffness.
 
-    Raises ConfigError where two joints have names that make the same field.
+    Args:
+        arm: the nominal one.
+
+    Returns:
+        A class of effects, the same one for arms with the same springs.
+
+    Raises:
+        ConfigError: two joints have names that make the same field.
+
     """
     springs = _springs(arm)
     fields = [stiffness_field(spring.name) for spring in springs]
@@ -473,6 +608,16 @@ class Backlash(AtJoint):
         return new
 
     def true_joints(self, when: Instants, joints: Array) -> Array:
+        """Let the joint lag by half its gap after each reversal.
+
+        Args:
+            when: not used.
+            joints: reported (n, k), m and rad.
+
+        Returns:
+            True joints (n, k).
+
+        """
         if not len(joints) or self.gap_rad == 0.0:
             return joints
         memory = self._memory or _Memory(self.start)
@@ -491,6 +636,16 @@ class Backlash(AtJoint):
         return true
 
     def deflect(self, when: Instants, loading: Loading) -> Array | None:
+        """Return by how much a push moves the tip within the joint's gap.
+
+        Args:
+            when: of which only the number of samples counts.
+            loading: joints, and the wrench that bends the arm.
+
+        Returns:
+            Translation and rotation vector (n, 6) in base_link, m and rad; None for nothing.
+
+        """
         if not len(when) or self.gap_rad == 0.0:
             return None
         memory = self._memory or _Memory(self.start)

@@ -68,6 +68,17 @@ class ToolMassError(Effect):
     )
 
     def tool_load(self, mass_kg: float, com_m: Array, direction: Array) -> tuple[float, Array]:
+        """Add the mass's error; the centre stays.
+
+        Args:
+            mass_kg: as the tool's file has it, kg.
+            com_m: centre (n, 3) in ft_sensor, m.
+            direction: not used.
+
+        Returns:
+            Mass, kg, and centre (n, 3), m.
+
+        """
         return mass_kg + self.delta_kg, com_m
 
 
@@ -86,6 +97,17 @@ class ToolComError(Effect):
     )
 
     def tool_load(self, mass_kg: float, com_m: Array, direction: Array) -> tuple[float, Array]:
+        """Add the centre's error; the mass stays.
+
+        Args:
+            mass_kg: as the tool's file has it, kg.
+            com_m: centre (n, 3) in ft_sensor, m.
+            direction: not used.
+
+        Returns:
+            Mass, kg, and centre (n, 3), m.
+
+        """
         return mass_kg, com_m + np.asarray(self.delta_m)
 
 
@@ -103,6 +125,17 @@ class LooseTool(Effect):
     )
 
     def tool_load(self, mass_kg: float, com_m: Array, direction: Array) -> tuple[float, Array]:
+        """Let the centre sag along x and y of gravity; the mass stays.
+
+        Args:
+            mass_kg: as the tool's file has it, kg.
+            com_m: centre (n, 3) in ft_sensor, m.
+            direction: of gravity (n, 3) in ft_sensor, unit vectors.
+
+        Returns:
+            Mass, kg, and centre (n, 3), m.
+
+        """
         return mass_kg, com_m + self.shift_m * direction * np.array([1.0, 1.0, 0.0])
 
 
@@ -139,6 +172,17 @@ class InertialLoad(Effect):
             )
 
     def wrench(self, when: Instants, posture: Posture) -> Array | None:
+        """Return the inertial forces of tool and adapter.
+
+        Args:
+            when: of which only the number of samples counts.
+            posture: the sensor's motion, and the loads that share the mass.
+
+        Returns:
+            Wrench (n, 6) about the sensor's origin in ft_sensor, N and N.m; None without motion or
+            loads.
+
+        """
         motion = posture.motion
         loads = (posture.tool, posture.adapter)
         if motion is None or sum(load.mass_kg for load in loads) <= 0.0:
@@ -219,13 +263,28 @@ class CableDrag(Effect):
     def centred(self, rotation: Array, origin: Array) -> Self:
         """Return the same with `reference_m` at the attachment's mean position.
 
-        rotation (n, 3, 3) R_base_sensor, origin (n, 3) of the sensor in base_link, m.
+        Args:
+            rotation: R_base_sensor (n, 3, 3).
+            origin: of the sensor (n, 3) in base_link, m.
+
+        Returns:
+            A new effect.
+
         """
         at = np.mean(origin + rotation @ np.asarray(self.attachment_m), axis=0)
         return replace(self, reference_m=tuple(float(value) for value in at))
 
     def tension(self, rotation: Array, origin: Array) -> Array:
-        """Return T (n,), N, at poses as `centred` takes them."""
+        """Return the cable's tension T.
+
+        Args:
+            rotation: R_base_sensor (n, 3, 3).
+            origin: of the sensor (n, 3) in base_link, m.
+
+        Returns:
+            (n,), N.
+
+        """
         return self._tension(cable_line(rotation, origin, self.anchor_m, self.attachment_m)[0])
 
     def _tension(self, distance_m: Array) -> Array:
@@ -234,6 +293,16 @@ class CableDrag(Effect):
         return self.tension_n * relative_tension(farther)
 
     def wrench(self, when: Instants, posture: Posture) -> Array | None:
+        """Return the cable's pull and bending moment.
+
+        Args:
+            when: not used.
+            posture: the sensor's pose; the arm, for the cable's direction at home.
+
+        Returns:
+            Wrench (n, 6) about the sensor's origin in ft_sensor, N and N.m.
+
+        """
         distance_m, direction = cable_line(
             posture.rotation, posture.origin, self.anchor_m, self.attachment_m
         )
@@ -253,10 +322,17 @@ class CableDrag(Effect):
 def cable_line(
     rotation: ArrayLike, origin: ArrayLike, anchor_m: ArrayLike, attachment_m: ArrayLike
 ) -> tuple[Array, Array]:
-    """Return distance (...,), m, and direction (..., 3) from attachment to anchor.
+    """Return distance and direction from attachment to anchor.
 
-    rotation (..., 3, 3) R_base_sensor; origin (..., 3) of the sensor and anchor (3,) in base_link;
-    attachment (3,) in ft_sensor, m.
+    Args:
+        rotation: R_base_sensor (..., 3, 3).
+        origin: of the sensor (..., 3) in base_link, m.
+        anchor_m: (3,) in base_link, m.
+        attachment_m: (3,) in ft_sensor, m.
+
+    Returns:
+        Distance (...,), m, and unit vector (..., 3) in ft_sensor.
+
     """
     to_anchor = np.asarray(anchor_m, dtype=float) - np.asarray(origin, dtype=float)
     line = np.einsum("...ji,...j->...i", np.asarray(rotation), to_anchor)
@@ -266,7 +342,15 @@ def cable_line(
 
 
 def relative_tension(farther: ArrayLike) -> Array:
-    """Return g(x), the tension over T_0, for x = kappa (d - d_0)."""
+    """Return g(x), the tension over T_0.
+
+    Args:
+        farther: x = kappa (d - d_0), any shape.
+
+    Returns:
+        The same shape; 1 at 0, near 0 where the cable is slack.
+
+    """
     return _CORNER * np.logaddexp(0.0, (_TAUT + np.asarray(farther, dtype=float)) / _CORNER)
 
 
@@ -278,9 +362,19 @@ def cable_wrench(
     home_direction: Array,
     attachment_m: ArrayLike,
 ) -> Array:
-    """Return force and torque (..., 6) about the sensor's origin in ft_sensor, N and N.m.
+    """Return force and torque of a cable.
 
-    tension, distance (...,); direction (..., 3) and home_direction (3,) in ft_sensor.
+    Args:
+        tension_n: (...,), N.
+        bending_nm: B, N.m; 0: it does not bend.
+        distance_m: from attachment to anchor (...,), m.
+        direction: from attachment to anchor (..., 3) in ft_sensor, unit vectors.
+        home_direction: the same at home (3,); not used without bending.
+        attachment_m: (3,) in ft_sensor, m.
+
+    Returns:
+        Wrench (..., 6) about the sensor's origin in ft_sensor, N and N.m.
+
     """
     force = np.asarray(tension_n)[..., None] * direction
     # r x f as a product: numpy's cross takes longer than all the rest of one sample.

@@ -35,7 +35,12 @@ LIMITED = tuple(name for name, kind in EFFECTS.items() if kind.has_limit)
 def identities(arm: Arm) -> dict[str, Effect]:
     """Return all effects of an arm by identity, changing nothing.
 
-    Those of a joint are there for each revolute joint.
+    Args:
+        arm: the nominal one.
+
+    Returns:
+        Effects by `Effect.identity`; those of a joint are there for each revolute joint.
+
     """
     found = (effect for kind in EFFECTS.values() for effect in kind.none_of(arm))
     return {effect.identity: effect for effect in found}
@@ -51,7 +56,16 @@ _FORMER_STIFFNESSES = {f"k_{spring}": spring for spring in ("roll", "tilt", "car
 
 
 def contract_form(name: str, parameters: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
-    """Rename an effect of recordings made before effects had joints; leave others as they are."""
+    """Rename an effect of recordings made before effects had joints; leave others as they are.
+
+    Args:
+        name: the effect's.
+        parameters: its numbers, under the names of then or of now.
+
+    Returns:
+        Name and numbers as the contract names them now.
+
+    """
     if name == joints.JointCompliance.name and parameters.keys() & _FORMER_STIFFNESSES.keys():
         others = {key: v for key, v in parameters.items() if key not in _FORMER_STIFFNESSES}
         springs = {_FORMER_STIFFNESSES[key]: parameters[key] for key in parameters.keys() - others}
@@ -64,13 +78,30 @@ def contract_form(name: str, parameters: Mapping[str, Any]) -> tuple[str, dict[s
 
 
 def identity_of(name: str, parameters: Mapping[str, Any]) -> str:
-    """Return `Effect.identity` of an effect by name and parameters."""
+    """Return `Effect.identity` of an effect by name and parameters.
+
+    Args:
+        name: as the contract names it now; an unknown one is its own identity.
+        parameters: of which `joint` counts.
+
+    Returns:
+        `name`, or `name:joint` of an effect of a joint.
+
+    """
     kind = EFFECTS.get(name)
     return f"{name}:{parameters.get('joint')}" if kind and kind.of_a_joint else name
 
 
 def contract_parameters(effect: Effect) -> dict[str, Any]:
-    """Return the effect's numbers under the contract's names, as JSON has them."""
+    """Return the effect's numbers under the contract's names, as JSON has them.
+
+    Args:
+        effect: of any arm.
+
+    Returns:
+        Numbers, texts and lists; without the fields that the contract doesn't name.
+
+    """
     own = [f.name for f in fields(effect) if "param" in f.metadata]
     named: dict[str, Any] = {}
     for field in own:
@@ -86,11 +117,20 @@ def contract_parameters(effect: Effect) -> dict[str, Any]:
 
 
 def effect_from(name: str, parameters: Mapping[str, Any], arm: Arm) -> Effect:
-    """Return an arm's effect of this name with numbers named as the contract or the fields are.
+    """Make an arm's effect of a name and numbers.
 
-    Numbers not given have their defaults. Names from before effects had joints are read, too.
-    Raises ConfigError naming effect and parameter on an unknown name, a wrong type, size or range,
-    and numbers that aren't finite.
+    Args:
+        name: the effect's; names from before effects had joints are read, too.
+        parameters: named as the contract or the fields are; numbers not given have their defaults.
+        arm: the nominal one.
+
+    Returns:
+        The effect, checked.
+
+    Raises:
+        ConfigError: an unknown name, a wrong type, size or range, or numbers that aren't finite; it
+            names effect and parameter.
+
     """
     name, parameters = contract_form(name, parameters)
     if name not in EFFECTS:
@@ -134,7 +174,15 @@ def _flat(parameters: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def limit_parts(arm: Arm) -> dict[str, tuple[str, ...]]:
-    """Return of each effect that a specification limits the names its limits may have on an arm."""
+    """Return the names that limits may have on an arm, of each effect that a specification limits.
+
+    Args:
+        arm: the nominal one.
+
+    Returns:
+        Names by effect; none where the effect is limited as a whole.
+
+    """
     found: dict[str, dict[str, None]] = {}
     for effect in identities(arm).values():
         if effect.has_limit:

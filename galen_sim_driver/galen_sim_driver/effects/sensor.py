@@ -74,10 +74,29 @@ class SensorMountRotation(Effect):
     )
 
     def read(self, when: Instants, wrench: Array) -> Array:
-        """Turn into the element's axes: rows times E are E^T v."""
+        """Turn into the element's axes: rows times E are E^T v.
+
+        Args:
+            when: not used.
+            wrench: (n, 6) in ft_sensor, N and N.m.
+
+        Returns:
+            Reading (n, 6) along the element's axes.
+
+        """
         return _turned(wrench, _matrix(tuple(self.rotvec_rad)))
 
     def unread(self, when: Instants, reading: Array) -> Array:
+        """Turn back from the element's axes.
+
+        Args:
+            when: not used.
+            reading: (n, 6) along the element's axes, N and N.m.
+
+        Returns:
+            Wrench (n, 6) in ft_sensor.
+
+        """
         return _turned(reading, _matrix(tuple(self.rotvec_rad)).T)
 
 
@@ -104,9 +123,29 @@ class AxisGain(Effect):
     )
 
     def read(self, when: Instants, wrench: Array) -> Array:
+        """Multiply each axis by 1 + its gain.
+
+        Args:
+            when: not used.
+            wrench: (n, 6), N and N.m.
+
+        Returns:
+            Reading (n, 6).
+
+        """
         return wrench * (1.0 + np.asarray(self.gain))
 
     def unread(self, when: Instants, reading: Array) -> Array:
+        """Divide each axis by 1 + its gain.
+
+        Args:
+            when: not used.
+            reading: (n, 6), N and N.m.
+
+        Returns:
+            Wrench (n, 6).
+
+        """
         return reading / (1.0 + np.asarray(self.gain))
 
 
@@ -130,9 +169,29 @@ class Crosstalk(Effect):
             raise ConfigError(f"{self.name}: from and to are both {self.to_axis}")
 
     def read(self, when: Instants, wrench: Array) -> Array:
+        """Add a part of one axis to the other.
+
+        Args:
+            when: not used.
+            wrench: (n, 6), N and N.m.
+
+        Returns:
+            Reading (n, 6).
+
+        """
         return self._add(wrench, self.coefficient)
 
     def unread(self, when: Instants, reading: Array) -> Array:
+        """Subtract a part of one axis from the other.
+
+        Args:
+            when: not used.
+            reading: (n, 6), N and N.m.
+
+        Returns:
+            Wrench (n, 6).
+
+        """
         return self._add(reading, -self.coefficient)
 
     def _add(self, wrench: Array, coefficient: float) -> Array:
@@ -160,18 +219,46 @@ class SensorNonlinearity(Effect):
         return (self.axis,)
 
     def limit_names(self, arm: Arm) -> tuple[str, ...]:
+        """Return all names on an arm under which a specification may limit it.
+
+        Args:
+            arm: not used.
+
+        Returns:
+            The sensor's axes.
+
+        """
         return WRENCH_AXES
 
     def validate(self) -> None:
         check_choice(self.name, "axis", self.axis, WRENCH_AXES)
 
     def read(self, when: Instants, wrench: Array) -> Array:
+        """Add the coefficient times the axis' square.
+
+        Args:
+            when: not used.
+            wrench: (n, 6), N and N.m.
+
+        Returns:
+            Reading (n, 6).
+
+        """
         read, (x, c) = wrench.copy(), self._of(wrench)
         read[:, WRENCH_AXES.index(self.axis)] += c * x**2
         return read
 
     def unread(self, when: Instants, reading: Array) -> Array:
-        """Return the root that is the reading at a coefficient of 0, or where it bends back."""
+        """Return the root that is the reading at a coefficient of 0, or where it bends back.
+
+        Args:
+            when: not used.
+            reading: (n, 6), N and N.m.
+
+        Returns:
+            Wrench (n, 6).
+
+        """
         true, (y, c) = reading.copy(), self._of(reading)
         root = np.sqrt(np.maximum(1.0 + 4.0 * c * y, 0.0))
         true[:, WRENCH_AXES.index(self.axis)] = 2.0 * y / (1.0 + root)
@@ -246,6 +333,15 @@ class SensorHysteresis(Effect):
         return np.array([self.side * self.fraction, self.knee])
 
     def with_vector(self, vector: Array) -> Self:
+        """Return the same effect with other numbers.
+
+        Args:
+            vector: signed fraction, and knee.
+
+        Returns:
+            A new effect with the side of the fraction's sign.
+
+        """
         signed, knee = vector.tolist()
         side = -1.0 if signed < 0.0 else 1.0
         return replace(self, fraction=abs(signed), side=side, knee=knee)
@@ -257,17 +353,45 @@ class SensorHysteresis(Effect):
         return new
 
     def read(self, when: Instants, wrench: Array) -> Array:
+        """Subtract what the reading lags.
+
+        Args:
+            when: times of the n samples.
+            wrench: (n, 6), N and N.m, in the order of time.
+
+        Returns:
+            Reading (n, 6).
+
+        """
         return wrench - self.lag(when, wrench)
 
     def unread(self, when: Instants, reading: Array) -> Array:
-        """Return the wrench whose reading it is, by iteration with the middle of its slopes."""
+        """Return the wrench whose reading it is, by iteration with the middle of its slopes.
+
+        Args:
+            when: times of the n samples.
+            reading: (n, 6), N and N.m, in the order of time.
+
+        Returns:
+            Wrench (n, 6), after four iterations.
+
+        """
         true, slope = reading, 1.0 - 0.5 * min(self._steepest, 1.0)
         for _ in range(_TURNS):
             true = true + (reading - self.read(when, true)) / slope
         return true
 
     def lag(self, when: Instants, wrench: Array) -> Array:
-        """Return by how much the reading of a wrench is behind it (n, 6)."""
+        """Return by how much the reading of a wrench is behind it.
+
+        Args:
+            when: times of the n samples; a pause in the bag's may restart it.
+            wrench: (n, 6), N and N.m, in the order of time.
+
+        Returns:
+            (n, 6), N and N.m; 0 in axes without hysteresis.
+
+        """
         out = np.zeros_like(wrench)
         axes = np.array(AXES[self.axes])
         if self._memory is not None:
@@ -342,6 +466,15 @@ class BiasStep(_Additive):
             check_choice(self.name, "bag", self.bag, BAG_ORDER)
 
     def in_session(self, starts: Mapping[str, float]) -> Self:
+        """Return the effect with its time since the session's start.
+
+        Args:
+            starts: first stamp of each bag, by its name, s since the session's.
+
+        Returns:
+            The effect without a bag's name.
+
+        """
         if not self.bag:
             return self
         return replace(self, bag="", time_s=self.time_s + starts[self.bag])
@@ -393,6 +526,16 @@ class SensorSaturation(Effect):
         check_choice(self.name, "axis", self.axis, WRENCH_AXES)
 
     def read(self, when: Instants, wrench: Array) -> Array:
+        """Clip the axis.
+
+        Args:
+            when: not used.
+            wrench: (n, 6), N and N.m, with the noise.
+
+        Returns:
+            Reading (n, 6).
+
+        """
         if self.limit <= 0.0:
             return wrench
         clipped = wrench.copy()
@@ -428,7 +571,16 @@ class SensorDrift(_Additive):
 
     @classmethod
     def through(cls, knots_s: Array, levels: Array) -> Self:
-        """Make a drift through levels (k, 6) at times knots_s (k,) of the recording."""
+        """Make a drift through levels at times of the recording.
+
+        Args:
+            knots_s: (k,), s, increasing; k at least 2.
+            levels: (k, 6), N and N.m.
+
+        Returns:
+            The drift, whose rate is the mean one.
+
+        """
         times, values = np.asarray(knots_s, dtype=float), np.asarray(levels, dtype=float)
         rate = (values[-1] - values[0]) / (times[-1] - times[0]) * _HOUR_S
         return cls(_floats(rate), _floats(times), _floats(values.ravel()))
@@ -447,6 +599,15 @@ class SensorDrift(_Additive):
             )
 
     def with_vector(self, vector: Array) -> Self:
+        """Return the same effect with other mean rates.
+
+        Args:
+            vector: (6,), N/h and N.m/h.
+
+        Returns:
+            A new effect; levels are tilted about the first knot.
+
+        """
         if not self.knots_s:
             return super().with_vector(vector)
         times = np.array(self.knots_s)
@@ -498,6 +659,16 @@ class TrackerScale(Effect):
     )
 
     def seen(self, when: Instants, position: Array) -> Array:
+        """Scale a marker's position about the tracker's origin.
+
+        Args:
+            when: not used.
+            position: true (n, 3) in the tracker's frame, m.
+
+        Returns:
+            Reading (n, 3), m.
+
+        """
         return position * (1.0 + self.gain)
 
 
@@ -527,9 +698,29 @@ class BaseShift(Effect):
     time_s: float = param(0.0, "when it moves, since the first stamp of push, s", minimum=0.0)
 
     def in_session(self, starts: Mapping[str, float]) -> Self:
+        """Return the effect with its time since the session's start.
+
+        Args:
+            starts: first stamp of each bag, by its name, s since the session's; `push` must be
+                there.
+
+        Returns:
+            A new effect, for a driver that runs on.
+
+        """
         return replace(self, time_s=self.time_s + starts[_BAG])
 
     def base_marker(self, when: Instants) -> Array | None:
+        """Return the base marker's displacement.
+
+        Args:
+            when: times of the n samples; those since the bag's first stamp count.
+
+        Returns:
+            Translation and rotation vector (n, 6) in base_link, m and rad; None in other bags than
+            `push`.
+
+        """
         if when.bag not in ("", _BAG):
             return None
         return np.outer(when.bag_s >= self.time_s, [*self.translation_m, *self.rotvec_rad])

@@ -134,8 +134,12 @@ class Plant:
     def command(self, trajectory: Trajectory) -> None:
         """Follow a trajectory from the present state, instead of any other.
 
-        Without points it means: stop. Raises PlantError and changes nothing when the
-        trajectory is bad.
+        Args:
+            trajectory: for some joints or all; without points it means: stop.
+
+        Raises:
+            PlantError: the trajectory is bad; nothing changes.
+
         """
         if not trajectory.points:
             self.stop()
@@ -159,7 +163,18 @@ class Plant:
         self._reference = None
 
     def attach_tool(self, name: str) -> ToolGeometry | None:
-        """Put a tool on, "" for none, and return it; raises PlantError."""
+        """Put a tool on, or remove it; a zeroing under way ends without effect.
+
+        Args:
+            name: of the configuration's tools; "" for none.
+
+        Returns:
+            The tool; None for none.
+
+        Raises:
+            PlantError: there is no such tool; the one that is on stays.
+
+        """
         if name and name not in self._config.tools:
             known = ", ".join(sorted(self._config.tools)) or "none"
             raise PlantError(f"no tool '{name}' here; configured: {known}")
@@ -170,9 +185,17 @@ class Plant:
         return tool
 
     def start_zeroing(self, window_s: float) -> Zeroing:
-        """Zero the sensor at the mean of the next `window_s`; ask `done` and `error` of the result.
+        """Zero the sensor at the mean of the next readings.
 
-        Raises PlantError while the arm moves or is in admittance mode.
+        Args:
+            window_s: how long they are averaged, s of simulated time.
+
+        Returns:
+            The zeroing: ask its `done` and `error` after a step.
+
+        Raises:
+            PlantError: the arm moves or is in admittance mode, or a zeroing is under way.
+
         """
         if self.admittance_on:
             raise PlantError("the arm is in admittance mode")
@@ -182,7 +205,12 @@ class Plant:
         return self._zeroing
 
     def set_admittance(self, on: bool) -> None:
-        """Let the tip follow the wrench that `admittance` is fed, or stop it where it is."""
+        """Let the tip follow the wrench that `admittance` is fed, or stop it where it is.
+
+        Args:
+            on: whether it follows.
+
+        """
         if on == self.admittance_on:
             return
         self.admittance_on = on
@@ -202,7 +230,16 @@ class Plant:
         self._hand.start(self.now_ns)
 
     def push(self, push: HandPush) -> None:
-        """Push once, from now on; raises PlantError, or ConfigError for nonsense."""
+        """Push once, from now on.
+
+        Args:
+            push: its force and times, counted from now.
+
+        Raises:
+            PlantError: the hand is pushing already.
+            ConfigError: the push makes no sense.
+
+        """
         self._hand.push(push, self.now_ns)
 
     # --- time -------------------------------------------------------------------------------

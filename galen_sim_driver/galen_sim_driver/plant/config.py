@@ -37,13 +37,29 @@ ZERO3: Vector3 = (0.0, 0.0, 0.0)
 
 
 def velocity_limits(arm: Arm) -> JointVector:
-    """Return how fast each joint (n,) goes, m/s and rad/s; a description may ask for less."""
+    """Return how fast each joint goes; a description may ask for less.
+
+    Args:
+        arm: with the speeds of its description.
+
+    Returns:
+        (n,), m/s and rad/s.
+
+    """
     usual = zip(arm.joints, _by_unit(arm, _VELOCITY), strict=True)
     return tuple(min(speed, joint.max_velocity) for joint, speed in usual)
 
 
 def acceleration_limits(arm: Arm) -> JointVector:
-    """Return the largest acceleration of each joint (n,), m/s^2 and rad/s^2."""
+    """Return the largest acceleration of each joint.
+
+    Args:
+        arm: whose joints slide or turn.
+
+    Returns:
+        (n,), m/s^2 and rad/s^2.
+
+    """
     return _by_unit(arm, _ACCELERATION)
 
 

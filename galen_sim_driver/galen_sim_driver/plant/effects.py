@@ -92,19 +92,37 @@ class PlantEffects:
         return [float(value) for value in self._zero]
 
     def attach(self, tool: ToolGeometry | None) -> None:
-        """Put another tool on, or none."""
+        """Put another tool on.
+
+        Args:
+            tool: its nominal load and tip; None for none.
+
+        """
         self._tool = tool
         self._tip_m = np.zeros(3) if tool is None else np.asarray(tool.tip_m, dtype=float)
         self._true_tool = Load(*self._tool_load(np.zeros(3)))
         self._load = self._with_adapter(self._true_tool.mass_kg, self._true_tool.com_m)
 
     def at(self, since_start_s: float) -> None:
-        """Go on to this time."""
+        """Go on to a time.
+
+        Args:
+            since_start_s: since the plant's start, s.
+
+        """
         now = np.array([since_start_s])
         self._when = Instants("", now, now)
 
     def arm_now(self, reported: Sequence[float]) -> ArmNow:
-        """Return the true arm at reported joints (n,)."""
+        """Return the true arm, and what gravity makes of its loads.
+
+        Args:
+            reported: joints (n,), m and rad.
+
+        Returns:
+            The arm at this sample; effects with memory go on by it.
+
+        """
         joints = self._true(self._joints, reported)
         matrix = sensor_matrix(self._misaligned, joints)
         gravity = rotate_back(matrix, self._gravity)
@@ -117,7 +135,17 @@ class PlantEffects:
     def more_wrench(
         self, arm: ArmNow, velocities: Sequence[float], accelerations: Sequence[float]
     ) -> list[float] | None:
-        """Return what else acts on the sensor (6,) while a tool is on; rates (n,) of the joints."""
+        """Return what else acts on the sensor while a tool is on.
+
+        Args:
+            arm: of `arm_now`.
+            velocities: of the reported joints (n,), m/s and rad/s.
+            accelerations: of the reported joints (n,), m/s^2 and rad/s^2.
+
+        Returns:
+            Wrench (6,) about the sensor's origin in ft_sensor, N and N.m; None for nothing.
+
+        """
         if not self._wrenches or self._tool is None:
             return None
         motion = None
@@ -138,29 +166,70 @@ class PlantEffects:
         return _first(added(effect.wrench(self._when, posture) for effect in self._wrenches))
 
     def before_noise(self, wrench: list[float]) -> list[float]:
-        """Apply the sensing element's errors to a true wrench (6,) before zeroing."""
+        """Apply the sensing element's errors that come before its noise.
+
+        Args:
+            wrench: true one (6,) in ft_sensor, N and N.m, before zeroing.
+
+        Returns:
+            Wrench (6,), before zeroing.
+
+        """
         return self._read(self._early, wrench)
 
     def after_noise(self, wrench: list[float]) -> list[float]:
-        """Apply those that follow its noise."""
+        """Apply the sensing element's errors that follow its noise.
+
+        Args:
+            wrench: noisy one (6,) in ft_sensor, N and N.m, before zeroing.
+
+        Returns:
+            Wrench (6,), before zeroing.
+
+        """
         return self._read(self._late, wrench)
 
     def position(self, arm: ArmNow, point: Sequence[float]) -> tuple[float, float, float]:
-        """Return a point of ft_sensor in base_link, m."""
+        """Return where a point of the sensor is.
+
+        Args:
+            arm: of `arm_now`.
+            point: (3,) in ft_sensor, m.
+
+        Returns:
+            (3,) in base_link, m, without deflection.
+
+        """
         _, at = self._misaligned.tip_pose(arm.joints, point)
         return (float(at[0]), float(at[1]), float(at[2]))
 
     def quaternion(self, arm: ArmNow) -> Quaternion:
-        """Return the sensor's rotation in base_link."""
+        """Return the sensor's rotation in base_link.
+
+        Args:
+            arm: of `arm_now`.
+
+        Returns:
+            Unit quaternion x, y, z, w.
+
+        """
         x, y, z, w = matrix_to_quaternion(np.reshape(arm.matrix, (3, 3))).tolist()
         return (x, y, z, w)
 
     def more_deflection(
         self, arm: ArmNow, at_tip: Sequence[float], elastic: Sequence[float]
     ) -> list[float] | None:
-        """Return the tip's displacement beside the elastic one (6,) under the wrench there (6,).
+        """Return the tip's displacement beside the elastic one.
 
-        All in base_link; None where no effect bends anything.
+        Args:
+            arm: of `arm_now`.
+            at_tip: wrench (6,) about the tip in base_link, N and N.m.
+            elastic: the springs' displacement (6,) of the tip in base_link, m and rad.
+
+        Returns:
+            Translation and rotation vector (6,) in base_link, m and rad; None where no effect bends
+            anything.
+
         """
         if not self._benders:
             return None
@@ -170,7 +239,15 @@ class PlantEffects:
         return _first(added(effect.deflect(self._when, loading) for effect in self._benders))
 
     def seen(self, pose: MarkerPose) -> MarkerPose:
-        """Return a marker as the tracker measures it, but for noise."""
+        """Return a marker as the tracker measures it, but for noise.
+
+        Args:
+            pose: true one in `tracker`.
+
+        Returns:
+            The reading; the rotation stays.
+
+        """
         if not self._seers:
             return pose
         position, turn = np.array([pose[0]]), pose[1]

@@ -20,7 +20,16 @@ _AXES: tuple[Vector, ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 def sensor_matrix(arm: Arm, joints: Sequence[float]) -> Matrix:
-    """Return R_base_sensor at joints (n,): its rows are the base's axes in the sensor's frame."""
+    """Return R_base_sensor: its rows are the base's axes in the sensor's frame.
+
+    Args:
+        arm: whose joints they are.
+        joints: (n,), m and rad.
+
+    Returns:
+        Nine floats, row by row.
+
+    """
     angles = [joints[index] for index in arm.turning]
     cosines, sines = [math.cos(q) for q in angles], [math.sin(q) for q in angles]
     a, b, c = (arm.components_in_sensor(axis, cosines, sines) for axis in _AXES)
@@ -30,7 +39,17 @@ def sensor_matrix(arm: Arm, joints: Sequence[float]) -> Matrix:
 def tip_jacobian(
     arm: Arm, joints: Sequence[float], tip: Sequence[float]
 ) -> tuple[Matrix, list[Sequence[float]]]:
-    """Return R_base_sensor and the n columns of `Arm.tip_jacobian`; tip (3,) in the sensor, m."""
+    """Return R_base_sensor and the columns of `Arm.tip_jacobian`.
+
+    Args:
+        arm: whose joints they are.
+        joints: (n,), m and rad.
+        tip: (3,) in the sensor's frame, m.
+
+    Returns:
+        Rotation, nine floats; and n twists (6,) of the tip in the base, over the joints' rates.
+
+    """
     turned: Matrix = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
     at: Vector = (0.0, 0.0, 0.0)
     axes: list[tuple[Vector, Vector | None]] = []
@@ -82,26 +101,62 @@ def _about(axis: Sequence[float], angle: float) -> Matrix:
 
 
 def rotate(matrix: Matrix, vector: Sequence[float]) -> Vector:
-    """Return R v."""
+    """Return R v.
+
+    Args:
+        matrix: R, nine floats.
+        vector: v (3,).
+
+    Returns:
+        (3,).
+
+    """
     a, b, c, d, e, f, g, h, i = matrix
     x, y, z = vector
     return (a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z)
 
 
 def rotate_back(matrix: Matrix, vector: Sequence[float]) -> Vector:
-    """Return R^T v."""
+    """Return R^T v.
+
+    Args:
+        matrix: R, nine floats.
+        vector: v (3,).
+
+    Returns:
+        (3,).
+
+    """
     a, b, c, d, e, f, g, h, i = matrix
     x, y, z = vector
     return (a * x + d * y + g * z, b * x + e * y + h * z, c * x + f * y + i * z)
 
 
 def cross(a: Sequence[float], b: Sequence[float]) -> Vector:
-    """Return a x b."""
+    """Return a x b.
+
+    Args:
+        a: (3,); of more only the first three count.
+        b: likewise.
+
+    Returns:
+        (3,).
+
+    """
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
 def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
-    """Return the rotation b followed by the rotation a."""
+    """Return the rotation b followed by the rotation a.
+
+    Args:
+        a: unit quaternion x, y, z, w.
+        b: likewise.
+
+    Returns:
+        Unit quaternion x, y, z, w.
+
+    """
     ax, ay, az, aw = a
     bx, by, bz, bw = b
     return (
@@ -113,7 +168,16 @@ def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
 
 
 def rotate_by(quaternion: Quaternion, vector: Sequence[float]) -> Vector:
-    """Turn a vector by a unit quaternion: v + 2 w (u x v) + 2 u x (u x v)."""
+    """Turn a vector by a unit quaternion: v + 2 w (u x v) + 2 u x (u x v).
+
+    Args:
+        quaternion: x, y, z, w.
+        vector: v (3,).
+
+    Returns:
+        (3,).
+
+    """
     w = quaternion[3]
     once = cross(quaternion, vector)
     twice = cross(quaternion, once)
@@ -125,7 +189,15 @@ def rotate_by(quaternion: Quaternion, vector: Sequence[float]) -> Vector:
 
 
 def from_rotvec(rotvec: Sequence[float]) -> Quaternion:
-    """Return the quaternion of a rotation vector (rad)."""
+    """Return the quaternion of a rotation vector.
+
+    Args:
+        rotvec: (3,), rad.
+
+    Returns:
+        Unit quaternion x, y, z, w.
+
+    """
     x, y, z = rotvec
     angle = math.sqrt(x * x + y * y + z * z)
     # sin(a/2)/a = 1/2 - a^2/48 + ..., which is 1/2 to rounding below 1e-8.

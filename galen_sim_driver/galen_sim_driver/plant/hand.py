@@ -39,11 +39,26 @@ class Hand:
         return self._start_ns is not None
 
     def start(self, now_ns: int) -> None:
-        """Play the script from its beginning, instead of what is played."""
+        """Play the script from its beginning, instead of what is played.
+
+        Args:
+            now_ns: simulated time, ns, from which the pushes count.
+
+        """
         self._play(self._script, now_ns)
 
     def push(self, push: HandPush, now_ns: int) -> None:
-        """Push once. Raises PlantError while something is played, ConfigError for nonsense."""
+        """Push once.
+
+        Args:
+            push: force and times.
+            now_ns: simulated time, ns, from which it counts.
+
+        Raises:
+            PlantError: something is played.
+            ConfigError: the push makes no sense.
+
+        """
         push.validate()
         if self.active:
             raise PlantError("the hand is pushing already")
@@ -55,9 +70,15 @@ class Hand:
         self._start_ns = now_ns
 
     def wrench_at_tip(self, now_ns: int, matrix: Matrix) -> list[float] | None:
-        """Return force and torque (6,) about tool_tip along its axes; None for no touch.
+        """Return what the hand does to the tip; note the end of what is played.
 
-        `matrix` is R_base_tip.
+        Args:
+            now_ns: simulated time, ns.
+            matrix: R_base_tip, nine floats.
+
+        Returns:
+            Force and torque (6,) about tool_tip along its axes, N and N.m; None for no touch.
+
         """
         if self._start_ns is None:
             return None
@@ -80,7 +101,16 @@ class Hand:
 
 
 def push_strength(push: HandPush, time_s: float) -> float:
-    """Return 0 to 1: a half cosine up, full, a half cosine down."""
+    """Return a push's strength: a half cosine up, full, a half cosine down.
+
+    Args:
+        push: of which the times count.
+        time_s: since the script's start, s.
+
+    Returns:
+        0 to 1.
+
+    """
     since = time_s - push.start_s
     left = push.duration_s - since
     if since <= 0.0 or left <= 0.0:
@@ -105,7 +135,13 @@ class Admittance:
         self._stamp_ns = 0
 
     def feed(self, stamp_ns: int, wrench: Sequence[float]) -> None:
-        """Take a wrench (6,) in ft_sensor about its origin; a non-finite one counts as none."""
+        """Take a wrench.
+
+        Args:
+            stamp_ns: its stamp, ns.
+            wrench: (6,) in ft_sensor about its origin, N and N.m; a non-finite one counts as none.
+
+        """
         self._wrench = list(wrench) if all(math.isfinite(value) for value in wrench) else None
         self._stamp_ns = stamp_ns
 
@@ -119,9 +155,18 @@ class Admittance:
         joints: Sequence[float],
         tip: Sequence[float],
     ) -> list[float] | None:
-        """Return joint velocities (n,), m/s and rad/s; None without a fresh wrench.
+        """Return the joint velocities that follow from the last wrench.
 
         Where a joint would be too fast all are slowed alike, so that the direction stays.
+
+        Args:
+            now_ns: simulated time, ns.
+            joints: (n,), m and rad.
+            tip: (3,) in ft_sensor, m.
+
+        Returns:
+            (n,), m/s and rad/s; None without a fresh wrench.
+
         """
         if self._wrench is None or abs(now_ns - self._stamp_ns) > self._timeout_ns:
             return None

@@ -58,10 +58,19 @@ class Trajectory:
 
 
 def check_trajectory(trajectory: Trajectory, arm: Arm, now_ns: int) -> None:
-    """Raise PlantError, naming joint and value, unless the trajectory can be taken.
+    """Check that a trajectory can be taken.
 
     The points must be inside the joint limits; what a polynomial does between them is held inside
     by the motion itself.
+
+    Args:
+        trajectory: with at least one point.
+        arm: with the joints' limits.
+        now_ns: simulated time, ns.
+
+    Raises:
+        PlantError: it can't be taken; the message names joint or point, and value.
+
     """
     names = list(trajectory.joint_names)
     for name in names:
@@ -146,7 +155,15 @@ class Reference:
         self.end_ns = now_ns + round(times[-1] / _NS)
 
     def sample(self, now_ns: int) -> list[float]:
-        """Return the positions (n,) at a time not before the planning, m and rad."""
+        """Return where the joints should be.
+
+        Args:
+            now_ns: simulated time, ns, not before the planning.
+
+        Returns:
+            Positions (n,), m and rad.
+
+        """
         result = self._hold.copy()
         if now_ns >= self.end_ns:
             for joint, value in zip(self._joints, self._last, strict=True):
@@ -202,9 +219,16 @@ _SLACK = 1.0 + 1e-9
 
 
 def braking_velocity(distance: float, velocity_step: float, period_s: float) -> float:
-    """Return the largest velocity from which a joint still stops within `distance`.
+    """Return the largest velocity from which a joint still stops within a distance.
 
-    `distance` and the result are not negative; `velocity_step` is u = a T.
+    Args:
+        distance: not negative, m or rad.
+        velocity_step: u = a T, largest change of velocity in a period, m/s or rad/s.
+        period_s: T, s.
+
+    Returns:
+        Velocity, not negative, m/s or rad/s.
+
     """
     total = distance / period_s
     count = math.ceil((math.sqrt(1.0 + 8.0 * total / velocity_step) - 1.0) / 2.0)
@@ -214,7 +238,17 @@ def braking_velocity(distance: float, velocity_step: float, period_s: float) -> 
 
 
 def stopping_distance(velocity: float, velocity_step: float, period_s: float) -> float:
-    """Return the signed braking distance at `velocity_step` in each period."""
+    """Return the braking distance at `velocity_step` in each period.
+
+    Args:
+        velocity: m/s or rad/s.
+        velocity_step: u = a T, m/s or rad/s.
+        period_s: T, s.
+
+    Returns:
+        Distance with the velocity's sign, m or rad.
+
+    """
     speed = abs(velocity)
     count = math.floor(speed / velocity_step)
     distance = period_s * (count * speed - velocity_step * count * (count + 1) / 2.0)
@@ -249,7 +283,13 @@ class LimitedMotion:
         ]
 
     def step(self, targets: Sequence[float]) -> None:
-        """Move one period towards `targets` (n,), where the joints should be at its end."""
+        """Move one period on.
+
+        Args:
+            targets: where the joints (n,) should be at the period's end, m and rad; held inside the
+                limits.
+
+        """
         period_s = self._period_s
         for index, (v_max, u, low, high, near) in enumerate(self._joints):
             position, velocity = self.positions[index], self.velocities[index]
@@ -294,7 +334,12 @@ class LimitedMotion:
     def stopping_positions(self, excepted: Sequence[float]) -> list[float]:
         """Return where the joints stop when they brake at their limits from now on.
 
-        `excepted` (n,) is a part of the velocity that isn't to be braked.
+        Args:
+            excepted: part of the velocity (n,) that isn't to be braked, m/s and rad/s.
+
+        Returns:
+            Positions (n,), m and rad.
+
         """
         return [
             position + stopping_distance(velocity - other, joint[1], self._period_s)

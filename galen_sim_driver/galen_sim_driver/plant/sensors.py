@@ -50,7 +50,15 @@ class Zeroing:
         return self.error is not None or self._count >= self._samples
 
     def add(self, raw: Sequence[float]) -> list[float] | None:
-        """Take one raw reading (6,); return the new zero (6,) when it was the last."""
+        """Take one reading.
+
+        Args:
+            raw: (6,) in ft_sensor, N and N.m, before zeroing.
+
+        Returns:
+            The new zero (6,) when it was the last; None before.
+
+        """
         self._sum = [total + value for total, value in zip(self._sum, raw, strict=True)]
         self._count += 1
         if self._count < self._samples:
@@ -71,14 +79,30 @@ class ForceTorqueSensor:
         self._zeroing: Zeroing | None = None
 
     def start_zeroing(self, samples: int) -> Zeroing:
-        """Average the next `samples` readings into a new zero; it holds from the one after."""
+        """Average the next readings into a new zero; it holds from the one after.
+
+        Args:
+            samples: number of readings, at least 1.
+
+        Returns:
+            The zeroing under way.
+
+        Raises:
+            PlantError: one is under way already.
+
+        """
         if self._zeroing is not None:
             raise PlantError("the sensor is being zeroed already")
         self._zeroing = Zeroing(samples)
         return self._zeroing
 
     def spoil_zeroing(self, reason: str) -> None:
-        """End a zeroing under way without effect."""
+        """End a zeroing under way without effect.
+
+        Args:
+            reason: text of its error.
+
+        """
         if self._zeroing is not None:
             self._zeroing.error = PlantError(reason)
             self._zeroing = None
@@ -88,7 +112,16 @@ class ForceTorqueSensor:
         wrench: list[float],
         after_noise: Callable[[list[float]], list[float]] | None = None,
     ) -> list[float]:
-        """Return the reading of a true wrench; `after_noise` changes it before the quantum."""
+        """Return the reading of a wrench.
+
+        Args:
+            wrench: (6,) in ft_sensor, N and N.m, before zeroing.
+            after_noise: changes it (6,) after the noise and before the quantum.
+
+        Returns:
+            Reading (6,), zeroed.
+
+        """
         raw = wrench
         if self._noise is not None:
             raw = [a + b for a, b in zip(raw, next(self._noise), strict=True)]
@@ -130,11 +163,19 @@ class Tracker:
         seen: Callable[[MarkerPose], MarkerPose],
         base_shift: Sequence[float] | None,
     ) -> tuple[MarkerPose | None, MarkerPose]:
-        """Measure both markers once: the tool's, None without a tool, and the base's.
+        """Measure both markers once.
 
-        `tip` is the undeflected tool_tip in base_link, `deflection` (6,) its displacement there:
-        translation (m), rotation vector (rad), or None for no touch. `seen` turns a marker's
-        pose into the tracker's reading; `base_shift` (6,) is the displacement of the base's marker.
+        Args:
+            tip: undeflected tool_tip in base_link, m; None without a tool.
+            deflection: its displacement (6,) there: translation (m), rotation vector (rad); None
+                for none.
+            seen: turns a marker's pose in `tracker` into the tracker's reading.
+            base_shift: displacement (6,) of the base's marker in base_link, m and rad; None for
+                none.
+
+        Returns:
+            The tool's marker, None without a tool, and the base's, in `tracker`.
+
         """
         base = self._base_marker if base_shift is None else self._shifted_base(base_shift)
         tool = None

@@ -56,7 +56,15 @@ _MOST_STEPS = 40
 
 
 def trajectory_from_message(message: JointTrajectory) -> Trajectory:
-    """Return the trajectory that a message asks for, unchecked."""
+    """Return the trajectory that a message asks for, unchecked.
+
+    Args:
+        message: in m, rad and s; its stamp 0 means now.
+
+    Returns:
+        The trajectory.
+
+    """
     return Trajectory(
         list(message.joint_names),
         [
@@ -73,7 +81,15 @@ def trajectory_from_message(message: JointTrajectory) -> Trajectory:
 
 
 def push_from_request(request: PushTool.Request) -> HandPush:
-    """Return the push that a request asks for, unchecked."""
+    """Return the push that a request asks for, unchecked.
+
+    Args:
+        request: force and torque in N and N.m along base_link, times in s.
+
+    Returns:
+        A push that begins at once.
+
+    """
     fx, fy, fz = (float(value) for value in request.force_n)
     tx, ty, tz = (float(value) for value in request.torque_nm)
     return HandPush(
@@ -89,7 +105,14 @@ def push_from_request(request: PushTool.Request) -> HandPush:
 
 
 def fill_pose(message: PoseStamped, stamp_ns: int, pose: MarkerPose) -> None:
-    """Write stamp and pose into `message`."""
+    """Write stamp and pose into a message.
+
+    Args:
+        message: to be filled; its frame stays.
+        stamp_ns: ns.
+        pose: of a marker in `tracker`, m.
+
+    """
     fill_stamp(message.header.stamp, stamp_ns)
     position, orientation = message.pose.position, message.pose.orientation
     (position.x, position.y, position.z), turn = pose
@@ -111,12 +134,25 @@ class Pacer:
         self._taken = 0
 
     def start(self, now_s: float) -> None:
-        """Count from `now_s`."""
+        """Count from now.
+
+        Args:
+            now_s: steady clock, s.
+
+        """
         self._origin_s = now_s
         self._taken = 0
 
     def due(self, now_s: float) -> int:
-        """Return how many steps to take now; the caller takes them."""
+        """Return how many steps to take now; the caller takes them.
+
+        Args:
+            now_s: steady clock, s.
+
+        Returns:
+            0 to 40.
+
+        """
         missing = int((now_s - self._origin_s) * self._steps_per_s) - self._taken
         steps = max(0, min(missing, _MOST_STEPS))
         self._taken += steps
@@ -135,7 +171,13 @@ class SpeedMeter:
         """Simulated over wall time, None at first."""
 
     def update(self, now_s: float, sim_ns: int) -> None:
-        """Take both times; `speed` changes when the window is over."""
+        """Take both times; `speed` changes when the window is over.
+
+        Args:
+            now_s: steady clock, s.
+            sim_ns: simulated time, ns.
+
+        """
         if self._last is None:
             self._last = (now_s, sim_ns)
         elif now_s - self._last[0] >= self._window_s:
