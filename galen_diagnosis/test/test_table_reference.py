@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tables since an earlier one of the same sensor and load: its own errors cancel."""
 
+import itertools
 import json
 
 import numpy as np
@@ -81,6 +82,43 @@ def test_a_drift_that_the_reference_has_too_is_no_change(tmp_path, capsys):
     drifts = table(tmp_path / "drifts.csv", 3, count=40, drift=3.0)
     found, code = answer(tmp_path, capsys, drifts, "--reference", earlier)
     assert code == 0 and found["verdict"] != "none"
+
+
+def moving_table(path, seed, more=None, stops=7, stop=40, way=25):
+    """Write an arm's way through stops, reading by reading: forces come late while it turns."""
+    draws = np.random.default_rng(seed)
+    at = np.random.default_rng(0).standard_normal((stops, 3))  # the same stops on both days
+    gravity = np.concatenate(
+        [
+            piece
+            for here, there in itertools.pairwise(at)
+            for piece in (np.tile(here, (stop, 1)), np.linspace(here, there, way + 2)[1:-1])
+        ]
+    )
+    gravity *= 9.80665 / np.linalg.norm(gravity, axis=1, keepdims=True)
+    force = 1.2 * gravity
+    wrench = np.hstack([force, np.cross([0.0, 0.01, 0.05], force)])
+    wrench = wrench + wrench @ OWN.T + (0.0 if more is None else wrench @ more.T)
+    wrench = np.vstack([np.repeat(wrench[:1], 3, axis=0), wrench])[: len(gravity)]
+    noise = draws.standard_normal(wrench.shape) * ([0.02] * 3 + [0.001] * 3)
+    rows = np.hstack([wrench + noise + draws.standard_normal(6), gravity])
+    np.savetxt(path, rows, delimiter=",", header=NAMES, comments="")
+    return str(path)
+
+
+@pytest.mark.slow
+def test_readings_between_stops_are_left_out(tmp_path, capsys):
+    earlier = moving_table(tmp_path / "earlier.csv", 1)
+    later = moving_table(tmp_path / "later.csv", 2)
+    found, code = answer(tmp_path, capsys, later, "--reference", earlier)
+    assert code == 0 and found["verdict"] == "none"
+    assert any("averages" in note and "in rest segments" in note for note in found["notes"])
+    added = np.zeros((6, 6))
+    added[1, 2] = 0.03
+    later = moving_table(tmp_path / "later.csv", 2, added)
+    found, code = answer(tmp_path, capsys, later, "--reference", earlier)
+    (cause,) = found["causes"]
+    assert (cause["effect"], cause["parameters"]["from"]) == ("crosstalk", "fz")
 
 
 @pytest.mark.parametrize("count", [4, 5])

@@ -577,10 +577,13 @@ def average_still(
     means: list[tuple[Array, Array, float, str]] = []
     rotations, temperatures = [], []
     variances = []
+    step_s = float(np.median(steps)) if len(steps) else 0.0
     for number, phase in enumerate(rest_by_direction(table.time, table.gravity, settings)):
         time = table.time[phase]
         window = np.floor((time - time[0]) / window_s).astype(int)
-        whole = [w for w in np.unique(window) if time[window == w][-1] - time[0] >= w * window_s]
+        # A phase ends a step after its last reading; half a step is for stamps that jitter.
+        filled = int((time[-1] - time[0] + 1.5 * step_s) / window_s)
+        whole = [w for w in np.unique(window) if w < max(filled, 1)]
         in_phase = []
         for index in whole:
             rows = np.arange(phase.start, phase.stop)[window == index]

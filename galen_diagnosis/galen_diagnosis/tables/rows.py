@@ -41,6 +41,11 @@ _MAPPED = "gravity", "wrench"
 _SAME_GRAVITY_RAD = 0.03
 _MOST_VISITS = 60
 _MOST_COURSES = 8
+_BY_ORDER = DirectionRest(max_rate_rad_s=1e-3, rim_s=2.0, min_duration_s=8.0)
+_WINDOW = 4
+"""Readings of a table without time."""
+_WINDOWS = 3
+_LEAST_AT_REST = 0.25
 _SIGMAS = 3.0
 """Of an autocorrelation, by chance."""
 _WIDE = np.array([10.0, 1.0, 1.0, 1.0, *[100.0] * 3, *[10.0] * 3])
@@ -80,18 +85,20 @@ def prepare_table(
     the same sensor and load: nominal is the load that fits them, the floor what it leaves of them.
     Raises GalenError where the table can't be used.
     """
-    if table.time is not None and table.block is None:
-        floor: Floor | None = _floor_at_rest(table, window_s)
-        averaged, _ = average_still(table, window_s, DirectionRest())
-        notes = [f"{len(averaged)} averages of {window_s:g} s in rest segments"]
+    run = _Stops.of(table, window_s)
+    floor: Floor | None
+    if run is not None:
+        floor = _floor_at_rest(run)
+        averaged = run.averaged()
+        notes = [f"{len(averaged)} averages of {run.window_s:g} {run.unit} in rest segments"]
     else:
         single, repeats = without_repeats(table)
         averaged, notes = single.timed(), [f"{len(single)} readings"]
         if repeats:
             notes.append(f"{repeats} rows repeat another one: counted once")
-        if table.time is None:
-            notes.append("the order of readings is taken for time")
         floor = _floor_of_readings(averaged, noise)
+    if table.time is None:
+        notes.append("the order of readings is taken for time")
     block, labels = _blocks(averaged, apart=bool(references))
     if len(labels) < _FEWEST_BLOCKS:
         raise GalenError(
@@ -159,10 +166,42 @@ def _load_columns(gravity: Array, prior: Array) -> Columns:
     return Columns(values * prior, {})
 
 
+@dataclass(frozen=True)
+class _Stops:
+    """A table that goes on while the arm moves and stops; without time, a reading is a second."""
+
+    table: OrientationTable
+    window_s: float
+    rest: DirectionRest
+    unit: str
+
+    @classmethod
+    def of(cls, table: OrientationTable, window_s: float) -> _Stops | None:
+        """Return a table's stops; None where each reading stands for itself."""
+        if table.block is not None:
+            return None
+        if table.time is not None:
+            return cls(table, window_s, DirectionRest(), "s")
+        stops = cls(without_repeats(table)[0].timed(), _WINDOW, _BY_ORDER, "readings")
+        segments = stops.segments()
+        sizes = [segment.stop - segment.start for segment in segments]
+        if len(sizes) < _FEWEST_BLOCKS or sum(sizes) < _LEAST_AT_REST * len(table):
+            return None
+        return replace(stops, window_s=float(max(_WINDOW, min(sizes) // _WINDOWS)))
+
+    def segments(self) -> list[slice]:
+        """Return the readings of each stop."""
+        assert self.table.time is not None
+        return rest_by_direction(self.table.time, self.table.gravity, self.rest)
+
+    def averaged(self) -> OrientationTable:
+        """Return means over windows; a stop is a block."""
+        return average_still(self.table, self.window_s, self.rest)[0]
+
+
 def _averaged(table: OrientationTable, window_s: float) -> OrientationTable:
-    if table.time is not None and table.block is None:
-        return average_still(table, window_s, DirectionRest())[0]
-    return without_repeats(table)[0].timed()
+    run = _Stops.of(table, window_s)
+    return run.averaged() if run is not None else without_repeats(table)[0].timed()
 
 
 def _levels(later: int, earlier: int) -> tuple[float, ...]:
@@ -311,21 +350,20 @@ def _blocks(table: OrientationTable, *, apart: bool = False) -> tuple[np.ndarray
     return np.arange(len(unit)), tuple(f"reading {k + 1}" for k in range(len(unit)))
 
 
-def _floor_at_rest(table: OrientationTable, window_s: float) -> Floor:
+def _floor_at_rest(run: _Stops) -> Floor:
     """Noise of means over windows in rest segments.
 
     Of autoregressive noise about a curve: with C its autocovariances, the mean of m samples has
     variance sum_ij C_|i-j| / m^2, and neighbouring means correlate alike.
     """
+    table, segments = run.table, run.segments()
     assert table.time is not None
-    segments = rest_by_direction(table.time, table.gravity, DirectionRest())
     if not segments:
-        shortest_s = DirectionRest().min_duration_s
-        raise GalenError(f"{table.path}: no rest segment of {shortest_s:g} s in it")
+        raise GalenError(f"{table.path}: no rest segment of {run.rest.min_duration_s:g} s in it")
     step_s = float(np.median(np.diff(table.time)))
-    size = max(1, round(window_s / step_s))
+    size = max(1, round(run.window_s / step_s))
     readings = [(table.time[segment], table.wrench[segment]) for segment in segments]
-    noise = channel_noise(readings, max(_LONGEST_CURVE_S, 3.0 * window_s))
+    noise = channel_noise(readings, max(_LONGEST_CURVE_S, 3.0 * run.window_s))
     if not noise:
         raise GalenError(f"{table.path}: every rest segment is too short to show its noise")
     variances = np.array([_of_means(channel, size) for channel in noise])
