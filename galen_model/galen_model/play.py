@@ -72,9 +72,16 @@ class Operators(ABC):
 
     @abstractmethod
     def run(self, inputs: Array) -> Played:
-        """Take inputs (n, m) in their order, from where the last call left off.
+        """Take inputs in their order, from where the last call ended.
 
         The results are the same to the last bit however the inputs are cut into calls.
+
+        Args:
+            inputs: (n, m), of each operator, in its threshold's unit.
+
+        Returns:
+            Outputs, spread and what is unknown of them, each (n, m), in the inputs' units.
+
         """
 
 
@@ -88,7 +95,15 @@ class PlayOperators(Operators):
         self._state[2] = np.inf
 
     def run(self, inputs: Array) -> Played:
-        """As `Operators.run`: beside input -+ threshold nothing is calculated, only compared."""
+        """Run play operators: beside input -+ threshold nothing is calculated, only compared.
+
+        Args:
+            inputs: (n, m), as of `Operators.run`.
+
+        Returns:
+            Outputs, spread and what is unknown of them, each (n, m).
+
+        """
         lower = inputs - self._thresholds
         upper = inputs + self._thresholds
         states = np.empty((len(inputs), *self._state.shape))
@@ -116,7 +131,15 @@ class SmoothOperators(Operators):
         self._input: Array | None = None
 
     def run(self, inputs: Array) -> Played:
-        """As `Operators.run`; exact for an input that goes straight from sample to sample."""
+        """Run smooth operators, exactly for an input that goes straight from sample to sample.
+
+        Args:
+            inputs: (n, m), as of `Operators.run`.
+
+        Returns:
+            Outputs, spread and what is unknown of them, each (n, m).
+
+        """
         states = np.empty((len(inputs), *self._z.shape))
         z = self._z
         for x, now in zip(inputs, states, strict=True):
