@@ -110,7 +110,17 @@ class BiasBasis:
         return sum(min(order, len(knots)) for knots in self._knots) + further
 
     def rows(self, time_s: Array, segment: np.ndarray, temperature_c: Array | None = None) -> Array:
-        """B (n, width) at times (n,), s, of the sweeps `segment` (n,), and temperatures (n,)."""
+        """Compute B, which takes the curves' parameters to their values.
+
+        Args:
+            time_s: (n,).
+            segment: (n,) which sweep each is of, from 0 on.
+            temperature_c: (n,); None: the part that goes with the temperature is left at zero.
+
+        Returns:
+            B (n, width).
+
+        """
         rows = np.zeros((len(time_s), self.width))
         for number, (sweep, *gap) in enumerate(self.shape.steps, start=int(self._first[-1])):
             rows[:, number] = (segment == sweep) * np.interp(time_s, gap, [0.0, 1.0])
