@@ -78,9 +78,16 @@ _REMEDIES = {
 def check_excitation(
     design: Array, names: Sequence[str], poses: Mapping[str, StillPoses] | None = None
 ) -> None:
-    """Raise NotExcitedError, naming what is missing, unless every parameter is identifiable.
+    """Check that the poses identify every parameter of the loads.
 
-    design (n, 6, q): the parameters asked for come first, in the order of `names`.
+    Args:
+        design: (n, 6, q): the parameters asked for come first, four of each load.
+        names: of these parameters.
+        poses: sweeps by their labels, for the error's text.
+
+    Raises:
+        NotExcitedError: a combination is not identifiable; the message names what is missing.
+
     """
     values, directions = _inflation(design, len(names))
     bad = np.flatnonzero(values > MAX_INFLATION)
