@@ -50,7 +50,15 @@ class Router:
         return faults
 
     def fault(self, joints: Array) -> str:
-        """Why the arm can't stand at joints (n,) or not get there from home; else empty."""
+        """Name why the arm can't stand at a pose or not get there from home.
+
+        Args:
+            joints: (n,), m and rad.
+
+        Returns:
+            A clause; empty when it can.
+
+        """
         if fault := self.clearance.pose_fault(joints):
             return fault
         try:
@@ -60,7 +68,19 @@ class Router:
         return ""
 
     def route(self, start: Array, goal: Array) -> list[Array]:
-        """Where to go one after another, each (n,), `goal` the last; raises ObstacleError."""
+        """Find a free way.
+
+        Args:
+            start: joints (n,), m and rad.
+            goal: joints (n,), m and rad.
+
+        Returns:
+            Joints (n,) to go to one after another, straight, `goal` the last.
+
+        Raises:
+            ObstacleError: no free way is found.
+
+        """
         straight = self._path_fault(start, goal)
         if not straight:
             return [np.asarray(goal, dtype=float)]

@@ -99,7 +99,7 @@ def point_mass_inertia(*loads: Load) -> Array:
     The least that the loads can have: their own inertia about their centres comes on top.
 
     Args:
-        loads: with their centres in ft_sensor.
+        *loads: with their centres in ft_sensor.
 
     Returns:
         Inertia (6,) of all about the sensor's origin, kg m^2, as INERTIA_NAMES.
