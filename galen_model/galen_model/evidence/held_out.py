@@ -308,7 +308,7 @@ class BlockEvidence:
             way: a way in which the effect shows.
 
         Returns:
-            Distance in sigma of noise at its known level, along the direction that shows most.
+            Distance in sigma of the noise, along the direction that shows most.
 
         """
         forms = np.full(len(self.rows.channels), _NOISE_AS_IT_IS)
