@@ -60,7 +60,15 @@ class Operators(ABC):
     """m operators, each with its own threshold and input; they remember."""
 
     def __init__(self, thresholds: Array) -> None:
-        """Thresholds (m,), in their inputs' units, none negative. Starts as `reset` does."""
+        """Start as `reset` does.
+
+        Args:
+            thresholds: (m,), in their inputs' units.
+
+        Raises:
+            ValueError: a threshold is negative.
+
+        """
         self._thresholds = np.asarray(thresholds, dtype=float)
         if np.any(self._thresholds < 0.0):
             raise ValueError(f"a threshold is negative: {self._thresholds.min()}")
@@ -89,7 +97,7 @@ class PlayOperators(Operators):
     """Play operators: with corners."""
 
     def reset(self) -> None:
-        """As `Operators.reset`."""
+        """Forget all loads, as `Operators.reset`."""
         self._state = np.zeros((3, len(self._thresholds)))
         self._state[1] = -np.inf
         self._state[2] = np.inf
@@ -120,13 +128,21 @@ class SmoothOperators(Operators):
     """Smooth operators, of thresholds above zero."""
 
     def __init__(self, thresholds: Array) -> None:
-        """As `Operators`; raises ValueError for a threshold of zero as well."""
+        """Start as `Operators`.
+
+        Args:
+            thresholds: (m,), in their inputs' units.
+
+        Raises:
+            ValueError: a threshold is negative or zero.
+
+        """
         super().__init__(thresholds)
         if np.any(self._thresholds == 0.0):
             raise ValueError("a threshold is zero: a smooth operator divides by it")
 
     def reset(self) -> None:
-        """As `Operators.reset`."""
+        """Forget all loads, as `Operators.reset`."""
         self._z = np.zeros((3, len(self._thresholds)))
         self._input: Array | None = None
 

@@ -90,7 +90,12 @@ class Transform:
         return len(self.translation)
 
     def inverse(self) -> Transform:
-        """T_b_a."""
+        """Invert the transform.
+
+        Returns:
+            T_b_a.
+
+        """
         back = np.swapaxes(self.rotation, -1, -2)
         return Transform(back, -np.einsum("...ij,...j->...i", back, self.translation))
 

@@ -129,9 +129,16 @@ class ArmClearance:
     ) -> None:
         """Take the shapes; parts of the arm that touch at most poses and at `here` are no pair.
 
-        clearance_m: nothing may come nearer to a box; tip_m (3,): the tool's tip in the sensor's
-        frame; here (n,): the present joints, None for home. Raises ObstacleError for a tip that is
-        no tool's.
+        Args:
+            boxes: obstacles.
+            clearance_m: nothing may come nearer to a box.
+            tip_m: the tool's tip (3,) in the sensor's frame.
+            arm: with its description.
+            here: the present joints (n,), m and rad; None: home.
+
+        Raises:
+            ObstacleError: the tip is no tool's.
+
         """
         if not np.linalg.norm(tip_m) <= MOST_TIP_M:
             raise ObstacleError(
@@ -231,7 +238,12 @@ class ArmClearance:
         self._keep(kept)
 
     def require_shapes(self) -> None:
-        """Raise ObstacleError, with the remedy, where shapes of the arm lack."""
+        """Check that all shapes of the arm are there.
+
+        Raises:
+            ObstacleError: some lack; the message has the remedy.
+
+        """
         if self.unchecked:
             raise ObstacleError(
                 f"{self.unchecked}, so that the arm could hit itself unseen: make its collision"

@@ -26,7 +26,18 @@ class Router:
     def __init__(
         self, clearance: ArmClearance, home: Array, lattice: Array, name: str = "home"
     ) -> None:
-        """Raise ObstacleError where the arm can't stand at home, which it calls by `name`."""
+        """Look at home and at the lattice.
+
+        Args:
+            clearance: distances of the arm with its tool.
+            home: joints (n,), m and rad.
+            lattice: angles (m, k) of the poses between, rad; the other joints are at home.
+            name: what home is called in errors.
+
+        Raises:
+            ObstacleError: the arm can't stand at home.
+
+        """
         self.clearance = clearance
         self._home = np.asarray(home, dtype=float)
         if fault := clearance.pose_fault(self._home):

@@ -207,7 +207,13 @@ class Background:
     """N with its prior: what is fitted beside every hypothesis, in blocks of columns."""
 
     def __init__(self, columns: Array, prior_std: Array) -> None:
-        """Of columns (N, n), prior_std (n,), infinite for none."""
+        """Take columns and their prior.
+
+        Args:
+            columns: N (N, n).
+            prior_std: (n,), infinite for none.
+
+        """
         self._base: Background | None = None
         self._set(columns, prior_std, columns.T @ columns)
 

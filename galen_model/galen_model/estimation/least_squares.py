@@ -86,13 +86,23 @@ class Information(NamedTuple):
         return Information(*(field[places] for field in self))
 
     def total(self) -> Information:
-        """Sum over the last of the leading axes: the blocks together."""
+        """Sum over the last of the leading axes: the blocks together.
+
+        Returns:
+            Sums without that axis.
+
+        """
         return Information(
             self.matrix.sum(axis=-3), self.right.sum(axis=-2), self.rest.sum(axis=-1)
         )
 
     def without_each(self) -> Information:
-        """Leave out each block in turn, along the last of the leading axes."""
+        """Leave out each block in turn, along the last of the leading axes.
+
+        Returns:
+            Sums of the other blocks, in the same shape.
+
+        """
         whole = self.total()
         return Information(
             whole.matrix[..., None, :, :] - self.matrix,

@@ -183,7 +183,15 @@ class Problem:
         return Equations(self, np.asarray(weights, dtype=float))
 
     def robust(self) -> Fit:
-        """Fit the readings that agree; raises IdentificationError where too few do."""
+        """Fit the readings that agree; all where they are too few to reject any.
+
+        Returns:
+            The fit.
+
+        Raises:
+            IdentificationError: too few readings agree, or they leave a parameter open.
+
+        """
         used = np.ones(len(self), dtype=bool)
         if self.readings.size <= self._unknowns:
             raise IdentificationError(
@@ -253,7 +261,10 @@ class Problem:
         return max(self.basis(shape)[0].free for shape in set(self.shapes))
 
     def agreeing(self) -> np.ndarray:
-        """Return the mask (n,) of the readings that agree on one x: bisquare, then a limit.
+        """Find the readings that agree on one x: bisquare, then a limit.
+
+        Returns:
+            Mask (n,).
 
         Raises:
             IdentificationError: where too few agree.

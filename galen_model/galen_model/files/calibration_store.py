@@ -103,7 +103,14 @@ class CalibrationStore:
     def __init__(
         self, tools_dir: str | os.PathLike[str], arm: Arm, *, other_arms: bool = False
     ) -> None:
-        """`arm`: the one that the tools are used on; other_arms: as of `parse_calibration`."""
+        """Take a directory; nothing is read yet.
+
+        Args:
+            tools_dir: directory of the files; ~ is expanded.
+            arm: the one that the tools are used on.
+            other_arms: as of `parse_calibration`.
+
+        """
         self.directory = Path(tools_dir).expanduser()
         self.arm = arm
         self._parse = partial(parse_calibration, arm=arm, other_arms=other_arms)
@@ -167,7 +174,15 @@ class CalibrationStore:
         return True
 
     def names(self) -> list[str]:
-        """Return the listed names, sorted: files *.json. Raises CalibrationStoreError."""
+        """List the names of files *.json.
+
+        Returns:
+            Names of tools, sorted, whether their files can be used or not.
+
+        Raises:
+            CalibrationStoreError: the directory can't be read.
+
+        """
         return sorted(
             name.removesuffix(_SUFFIX)
             for name in self._files()
@@ -196,7 +211,8 @@ class CalibrationStore:
     def rename(self, name: str, new_name: str) -> StoredCalibration:
         """Give a tool another name, in its file and inside; its backup goes with it.
 
-        A rename that a crash cut short is finished by asking for it again.
+        A rename that a crash cut short is finished by asking for it again. After an error the tool
+        has its old name.
 
         Args:
             name: the tool's.
@@ -209,7 +225,7 @@ class CalibrationStore:
             ToolNameError: a name is not allowed.
             CalibrationFileError: the file can't be read or used.
             ToolExistsError: the new name is taken.
-            CalibrationStoreError: it can't be renamed. In all cases the tool then has its old name.
+            CalibrationStoreError: it can't be renamed.
 
         """
         old = self.read(name)
@@ -246,7 +262,7 @@ class CalibrationStore:
     def revert(self, name: str) -> StoredCalibration:
         """Swap a calibration file and the calibration before it; doing it twice changes nothing.
 
-        A broken file is kept as the other one.
+        A broken file is kept as the other one. An error of the swap changes nothing.
 
         Args:
             name: the tool's.
@@ -257,7 +273,7 @@ class CalibrationStore:
         Raises:
             ToolNameError: the name is not allowed.
             CalibrationFileError: there is no file or no usable calibration before it.
-            CalibrationStoreError: they can't be swapped. In all cases nothing is then changed.
+            CalibrationStoreError: they can't be swapped.
 
         """
         path = self._regular(name)
@@ -295,7 +311,15 @@ class CalibrationStore:
         return kept
 
     def removed(self) -> list[str]:
-        """Names of removed tools that can be brought back, sorted. Raises CalibrationStoreError."""
+        """List the removed tools that can be brought back.
+
+        Returns:
+            Names, sorted.
+
+        Raises:
+            CalibrationStoreError: the directory can't be read.
+
+        """
         found = {match.group(1) for match in map(_REMOVED_NAME.fullmatch, self._files()) if match}
         gone = (name for name in found if not os.path.lexists(self.directory / name))
         return sorted(name.removesuffix(_SUFFIX) for name in gone)

@@ -334,7 +334,15 @@ class CablePosterior:
     """The pull at other poses than those of the sweep."""
 
     def __init__(self, drag: LearnedPull) -> None:
-        """Factor the covariance of the poses; raises numpy's LinAlgError where it is none."""
+        """Factor the covariance of the poses.
+
+        Args:
+            drag: the sweep and how smooth the pull is.
+
+        Raises:
+            numpy.linalg.LinAlgError: the numbers make no covariance.
+
+        """
         self._drag = drag
         covariance = prior_covariance(drag, drag.joints, drag.joints)
         covariance[np.diag_indices(len(covariance))] += drag.std.ravel() ** 2

@@ -153,7 +153,7 @@ def check_identifiable(
     known_rows: Array,
     max_std: float | None = MAX_STD,
 ) -> None:
-    """Raise NotExcitedError naming the pairs, unless every parameter is identifiable.
+    """Check that every parameter of the mounting is identifiable.
 
     Args:
         jacobian: (n, 6, p), columns: the loads' moments, the parameters, the offsets.
@@ -161,7 +161,10 @@ def check_identifiable(
         loads: number of moments.
         names: of the parameters.
         known_rows: (k, p) what is known of the loads beforehand, over its standard deviation.
-        max_std: None: the noise is not known yet.
+        max_std: largest standard deviation, rad or a gain; None: the noise is not known yet.
+
+    Raises:
+        NotExcitedError: naming the parameters that are not, each with what it is confused with.
 
     """
     space = _Space(jacobian, sigma, loads, names, known_rows, max_std)

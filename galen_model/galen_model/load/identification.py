@@ -418,7 +418,7 @@ def identification(
     gravity_zero: Array | None = None,
     drifts: bool = False,
 ) -> Identification:
-    """Return what a fit found of two sweeps, or of one.
+    """Collect what a fit found of two sweeps, or of one.
 
     Args:
         fit: its values as `fit_robust` has them.
@@ -428,6 +428,9 @@ def identification(
         gravity_zero: (3,) in the sensor's frame where it was zeroed with the adapter alone before
             the only sweep, m/s^2; None: two sweeps, or tool and adapter are one load.
         drifts: a change of the offset between the sweeps is no news.
+
+    Returns:
+        Loads and offsets, with warnings.
 
     Raises:
         IdentificationError: for a mass that is not positive.

@@ -152,7 +152,13 @@ class LoadInMotion:
     """`inertial_wrench` of one load, for one moment at a time and some ten times as fast."""
 
     def __init__(self, moments: ArrayLike, about_sensor_kg_m2: ArrayLike) -> None:
-        """Moments (4,) as `Load.moments`, inertia (6,) about the sensor's origin."""
+        """Take a load.
+
+        Args:
+            moments: (4,) as `Load.moments`, kg and kg.m.
+            about_sensor_kg_m2: inertia (6,) about the sensor's origin, as INERTIA_NAMES.
+
+        """
         self._moments = tuple(float(v) for v in np.asarray(moments, dtype=float))
         self._inertia = tuple(float(v) for v in np.asarray(about_sensor_kg_m2, dtype=float))
 

@@ -382,7 +382,12 @@ class Mounting:
         return turned / (1.0 + self.axis_gain)[None, :]
 
     def to_json(self) -> dict[str, Any]:
-        """As the calibration file holds it: without the base's angle about z where it is none."""
+        """Convert to the content that the calibration file holds.
+
+        Returns:
+            The fields, without the base's angle about z where it is none.
+
+        """
         angles = dict(zip(_ANGLES, numbers(self.base_inclination_rad), strict=True))
         covariance = self.covariance
         if not (angles["about_z"] or self.std[_ABOUT_Z]):

@@ -123,7 +123,16 @@ class Calibrated:
     known: KnownLoad | None = None
 
     def identify(self) -> Identification:
-        """From all poses, or those `without` leaves; raises IdentificationError."""
+        """Identify the loads from all poses, or those that `without` leaves.
+
+        Returns:
+            What a fit without a choice of models finds.
+
+        Raises:
+            IdentificationError: the poses don't identify what is asked, or a known load comes with
+                one sweep alone.
+
+        """
         if self.bare is not None:
             return identify_two_sweeps(
                 self.bare, self.tool, self.zero_angles, self.groups, self.known

@@ -53,7 +53,12 @@ class PoseDesignError(GalenError):
 
 
 def reading_noise() -> Array:
-    """Noise of one sample (6,), N and N.m, quantum included: only its ratios matter here."""
+    """Compute the noise of one sample, quantum included: only its ratios matter here.
+
+    Returns:
+        Standard deviations (6,), N and N.m.
+
+    """
     return np.asarray(np.hypot(SENSOR.noise_std, SENSOR.quantum / np.sqrt(12.0)))
 
 

@@ -86,7 +86,15 @@ class SweepTimes:
     def __init__(
         self, home: Array, max_velocity: Array, max_acceleration: Array, stay_s: float
     ) -> None:
-        """`home` (k,), rad, is where it begins and ends; limits (k,) in rad/s and rad/s^2."""
+        """Take what a sweep's time depends on.
+
+        Args:
+            home: angles (k,), rad, where it begins and ends.
+            max_velocity: (k,), rad/s.
+            max_acceleration: (k,), rad/s^2.
+            stay_s: time at each pose.
+
+        """
         self._home = np.asarray(home, dtype=float)
         self._limits = max_velocity, max_acceleration
         self.stay_s = stay_s

@@ -104,7 +104,12 @@ class CellReducer:
             self._parts.append(_reduce(stamp_ns[:last], wrench[:last], angles[:last], starts[:-1]))
 
     def finish(self) -> Cells:
-        """All cells so far; the last one may be short."""
+        """Collect all cells so far.
+
+        Returns:
+            The cells; the last one may be short.
+
+        """
         parts = list(self._parts)
         if self._open is not None:
             parts.append(_reduce(*self._open, np.zeros(1, dtype=np.intp)))

@@ -121,7 +121,12 @@ class SetupFinding:
         return ". ".join(part[0].upper() + part[1:] for part in parts)
 
     def to_json(self) -> dict[str, Any]:
-        """Return it for a program; SI units."""
+        """Describe the finding for a program.
+
+        Returns:
+            Texts and numbers, SI units.
+
+        """
         return {
             "trouble": self.trouble,
             "residual": _by_kind(self.fit),

@@ -169,6 +169,9 @@ def fit_load(readings: StillReadings, further: int = 0) -> LoadFit:
         readings: n still poses.
         further: how many parameters were fitted before (a direction of gravity has 2).
 
+    Returns:
+        The load, with residuals of the poses that the fit kept.
+
     """
     count = len(readings.wrench)
     force, torque = readings.wrench[:, :3], readings.wrench[:, 3:]
