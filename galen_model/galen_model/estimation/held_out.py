@@ -107,7 +107,7 @@ def time_blocks(time_s: Array, segment: np.ndarray, blocks: int) -> np.ndarray:
     Args:
         time_s: (n,), or any number that orders the readings of a sweep.
         segment: (n,) which sweep each is of, from 0 on.
-        blocks: about how many of all readings; each sweep has its share, at least one.
+        blocks: wanted number over all sweeps; each sweep has its share, at least one.
 
     Returns:
         Labels (n,), from 0 on.

@@ -153,8 +153,7 @@ class Problem:
             shape: of a channel's bias.
 
         Returns:
-            The curves, B (n, width) at the readings, and Q (width, width), with the zeroing as a
-            reading.
+            The curves, B (n, width) at the readings, and Q (width, width), which holds the zeroing.
 
         """
         if shape not in self._bases:

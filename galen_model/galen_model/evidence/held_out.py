@@ -350,16 +350,16 @@ class BlockEvidence:
     def hypothesis(
         self, effects: tuple[str, ...], sets: Sequence[tuple[Columns, ...]], floor_only: bool
     ) -> BlockHypothesis | None:
-        """Fit a hypothesis that holds in one of `sets` of ways.
+        """Fit a hypothesis that holds in one of several sets of ways.
 
         Args:
             effects: names of its effects.
-            sets: of each way to hold, one way of each effect, in the order of `effects`.
-            floor_only: noise alone is what the effects leave; otherwise also something unknown.
+            sets: alternatives, each with one way of every effect, in the order of `effects`.
+            floor_only: noise alone is what the effects leave; otherwise something unknown as well.
 
         Returns:
-            The fitted hypothesis; None where no weights are allowed, or noise was not to be alone,
-            and is.
+            The fitted hypothesis; None where no set has weights that are allowed, or where, without
+            `floor_only`, noise alone is found all the same.
 
         """
         found = []

@@ -198,7 +198,7 @@ def load_text(
     Args:
         mass_kg: difference of the masses.
         mass_std_kg: its standard deviation.
-        centre_m: difference of the centres (3,), in the caller's frame; None: left out.
+        centre_m: difference of the centres (3,); None: left out.
         centre_std_m: its standard deviations (3,); None: left out.
 
     Returns:

@@ -133,10 +133,12 @@ class KnownLoad:
             raise IdentificationError(f"the known centre's deviation is {self.com_std_m:g} m")
 
     def of_moments(self, parameters: int) -> Known:
-        """Make knowledge of the moments (m, h): h - p m = 0 within m times the centre's deviation.
+        """Convert to knowledge of the moments (m, h).
+
+        A known centre p is h - p m = 0 within m times its deviation.
 
         Args:
-            parameters: p, of which the load's moments are the first four.
+            parameters: number of unknowns, of which the load's moments are the first four.
 
         Returns:
             1 row, or 4 where the centre is known, in kg and kg.m.
