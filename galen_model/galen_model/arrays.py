@@ -9,16 +9,32 @@ Array = NDArray[np.float64]
 
 
 def runs(mask: np.ndarray) -> list[tuple[int, int]]:
-    """Return first and one past the last row of each run of True in a mask (n,)."""
+    """Find the runs of True in a mask.
+
+    Args:
+        mask: (n,) booleans.
+
+    Returns:
+        First row and one past the last row of each run, in order.
+
+    """
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
 def evenly_spread(count: int, dimensions: int) -> Array:
-    """Return points (count, dimensions) in the unit cube, the first ones as even as all of them.
+    """Spread points in the unit cube, the first ones as even as all of them.
 
     The additive recurrence n / phi^k mod 1 with phi^(d + 1) = phi + 1 (Roberts, *The unreasonable
     effectiveness of quasirandom sequences*, 2018).
+
+    Args:
+        count: number of points.
+        dimensions: number of axes, d.
+
+    Returns:
+        Points (count, dimensions), each coordinate in [0, 1).
+
     """
     phi = 2.0
     for _ in range(60):

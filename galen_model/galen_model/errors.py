@@ -13,10 +13,18 @@ class GalenError(Exception):
 
 
 def one_line(text: str, longest: int = LONGEST_MESSAGE) -> str:
-    """Return a text that is not trusted, as one line that can be printed and sent.
+    """Make a text that is not trusted one line that can be printed and sent.
 
     Topics and cells of tables may be of any length and hold anything: ends of lines, what moves a
     terminal's cursor, halves of surrogate pairs, which neither a terminal nor a message takes.
+
+    Args:
+        text: any text.
+        longest: most characters of the result.
+
+    Returns:
+        The text with its unprintable characters escaped, cut with " ..." where it is longer.
+
     """
     shown = text[: longest + 1]
     if not shown.isprintable():

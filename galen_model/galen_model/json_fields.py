@@ -35,17 +35,41 @@ class FieldError(ValueError):
 
 
 def read_json(path: Path, max_bytes: int, what: str) -> Any:
-    """Return the content of a JSON file, `what` it should be ("a calibration file").
+    """Read a JSON file of limited size.
 
-    Raises OSError, and FieldError without the file's name.
+    Args:
+        path: file to read.
+        max_bytes: size above which it is rejected.
+        what: what it should be ("a calibration file"), for the error.
+
+    Returns:
+        The parsed content.
+
+    Raises:
+        OSError: it can't be opened or read.
+        FieldError: it is too large, no regular file or not JSON; the message lacks the file's name.
+
     """
     return parse_json(read_limited(path, max_bytes, what))
 
 
 def read_limited(path: Path, max_bytes: int, what: str) -> bytes:
-    """Return a file's bytes; raises OSError, and FieldError, without reading on, if there are more.
+    """Read a file of limited size.
 
     What is no file is rejected: a pipe or a terminal would keep a node waiting for ever.
+
+    Args:
+        path: file to read.
+        max_bytes: size above which it is rejected, without reading on.
+        what: what it should be ("a calibration file"), for the error.
+
+    Returns:
+        All of its bytes.
+
+    Raises:
+        OSError: it can't be opened or read.
+        FieldError: it is larger or no regular file.
+
     """
     handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     try:
@@ -61,7 +85,18 @@ def read_limited(path: Path, max_bytes: int, what: str) -> bytes:
 
 
 def parse_json(raw: str | bytes) -> Any:
-    """JSON's content; raises FieldError."""
+    """Parse JSON.
+
+    Args:
+        raw: a whole document.
+
+    Returns:
+        Its content.
+
+    Raises:
+        FieldError: it is not JSON, or nested too deeply.
+
+    """
     try:
         return json.loads(raw)
     except (ValueError, RecursionError) as error:
@@ -69,47 +104,121 @@ def parse_json(raw: str | bytes) -> Any:
 
 
 def check_version(content: Mapping[str, Any], version: int) -> None:
-    """Raise FieldError unless the field schema_version is `version`."""
+    """Check the field schema_version.
+
+    Args:
+        content: the file's top object.
+        version: the only one that is accepted.
+
+    Raises:
+        FieldError: the field is missing or another one.
+
+    """
     found = get(content, "schema_version")
     if found != version or isinstance(found, bool):
         raise FieldError(f"schema_version is {found!r:.40}; this version reads {version}")
 
 
 def check_kind(content: Mapping[str, Any], wanted: str) -> None:
-    """Raise FieldError where it is the suite's other file, and not `wanted`."""
+    """Reject another kind of the suite's files, by the fields that only it has.
+
+    Args:
+        content: the file's top object.
+        wanted: CALIBRATION_FILE or DEFLECTION_MODEL.
+
+    Raises:
+        FieldError: the fields are those of another kind, and not of `wanted`.
+
+    """
     kinds = [kind for kind, marks in _MARKS.items() if any(m <= content.keys() for m in marks)]
     if kinds and wanted not in kinds:
         raise FieldError(f"it is {kinds[0]}; {wanted} is needed here")
 
 
 def numbers(values: ArrayLike) -> list[float]:
-    """Return a row of plain numbers, to be written."""
+    """Convert values to plain floats, to be written as JSON.
+
+    Args:
+        values: (n,).
+
+    Returns:
+        n floats.
+
+    """
     return [float(value) for value in np.asarray(values, dtype=float)]
 
 
 def mapping(value: Any, name: str) -> Mapping[str, Any]:
-    """Return an object."""
+    """Check that a value is an object.
+
+    Args:
+        value: as parsed.
+        name: the field's name in errors.
+
+    Returns:
+        The value.
+
+    Raises:
+        FieldError: it is no object.
+
+    """
     if not isinstance(value, Mapping):
         raise FieldError(f"{name} is not an object")
     return value
 
 
 def get(content: Mapping[str, Any], name: str) -> Any:
-    """Return a field that must be there."""
+    """Get a field that must be there.
+
+    Args:
+        content: an object.
+        name: the field's key in it.
+
+    Returns:
+        The field's value.
+
+    Raises:
+        FieldError: it is missing.
+
+    """
     if name not in content:
         raise FieldError(f"{name} is missing")
     return content[name]
 
 
 def text(value: Any, name: str) -> str:
-    """Return a text that isn't empty, and can be written as UTF-8."""
+    """Check that a value is a text, not empty, that can be written as UTF-8.
+
+    Args:
+        value: as parsed.
+        name: the field's name in errors.
+
+    Returns:
+        The value.
+
+    Raises:
+        FieldError: it is no text, is empty or holds halves of surrogate pairs.
+
+    """
     if not isinstance(value, str) or not value or any("\ud800" <= c <= "\udfff" for c in value):
         raise FieldError(f"{name} is {value!r:.80}; expected a text")
     return value
 
 
 def sentence(value: Any, name: str) -> str:
-    """Return one line of at most LONGEST_SENTENCE printable characters; it may be empty."""
+    """Check that a value is one line of printable characters; it may be empty.
+
+    Args:
+        value: as parsed.
+        name: the field's name in errors.
+
+    Returns:
+        The value, of at most LONGEST_SENTENCE characters.
+
+    Raises:
+        FieldError: it is no text, too long or not printable.
+
+    """
     if not isinstance(value, str) or not value[:LONGEST_SENTENCE].isprintable():
         raise FieldError(f"{name} is {value!r:.80}; expected one line of printable characters")
     if len(value) > LONGEST_SENTENCE:
@@ -118,26 +227,75 @@ def sentence(value: Any, name: str) -> str:
 
 
 def texts(value: Any, name: str) -> tuple[str, ...]:
-    """Return a list of texts."""
+    """Convert the entries of a list to texts.
+
+    Args:
+        value: as parsed.
+        name: the field's name in errors.
+
+    Returns:
+        `str` of each entry, of whatever type that is.
+
+    Raises:
+        FieldError: it is no list.
+
+    """
     return tuple(str(item) for item in items(value, name))
 
 
 def items(value: Any, name: str) -> Sequence[Any]:
-    """Return a list of anything."""
+    """Check that a value is a list.
+
+    Args:
+        value: as parsed.
+        name: the field's name in errors.
+
+    Returns:
+        The value; its entries may be anything.
+
+    Raises:
+        FieldError: it is no list.
+
+    """
     if not isinstance(value, Sequence) or isinstance(value, str):
         raise FieldError(f"{name} is not a list")
     return value
 
 
 def count(value: Any, name: str) -> int:
-    """Return a whole number from 0 on."""
+    """Check that a value is a whole number from 0 on.
+
+    Args:
+        value: as parsed.
+        name: the field's name in errors.
+
+    Returns:
+        The value.
+
+    Raises:
+        FieldError: it is no such number.
+
+    """
     if not isinstance(value, int) or isinstance(value, bool) or value < 0:
         raise FieldError(f"{name} is {value!r:.40}; expected a count")
     return value
 
 
 def number(value: Any, name: str, largest: float = LARGEST) -> float:
-    """Return a finite number of at most the largest."""
+    """Check that a value is a finite number of limited size.
+
+    Args:
+        value: as parsed.
+        name: the field's name in errors.
+        largest: limit of its absolute value, in the field's unit.
+
+    Returns:
+        The value.
+
+    Raises:
+        FieldError: it is no number, not finite or larger.
+
+    """
     # The comparison, unlike float(), takes integers of any size; NaN fails it.
     if not _is_number(value) or not abs(value) <= largest:
         raise FieldError(f"{name} is {value!r:.40}; expected a finite number up to {largest:g}")
@@ -145,7 +303,20 @@ def number(value: Any, name: str, largest: float = LARGEST) -> float:
 
 
 def array(value: Any, name: str, shape: tuple[int, ...]) -> Array:
-    """Numbers of a shape, each as `number`."""
+    """Check that a value is a nested list of numbers of a shape.
+
+    Args:
+        value: as parsed.
+        name: the field's name in errors.
+        shape: the only one that is accepted.
+
+    Returns:
+        The numbers, each finite and up to LARGEST in size.
+
+    Raises:
+        FieldError: an entry is no number, not finite or larger, or the shape is another one.
+
+    """
     if not _holds_numbers(value):
         raise FieldError(f"{name} does not hold numbers")
     try:
@@ -160,7 +331,20 @@ def array(value: Any, name: str, shape: tuple[int, ...]) -> Array:
 
 
 def covariance(value: Any, name: str, size: int) -> Array:
-    """Return a covariance (size, size): symmetric, no eigenvalue below zero, as correlations."""
+    """Check that a value is a covariance: symmetric, no eigenvalue below zero, as correlations.
+
+    Args:
+        value: as parsed.
+        name: the field's name in errors.
+        size: number of rows and columns.
+
+    Returns:
+        The matrix (size, size), as it is in the file.
+
+    Raises:
+        FieldError: it is no array of that size, or no covariance within rounding.
+
+    """
     matrix = array(value, name, (size, size))
     variance = np.diag(matrix)
     if np.any(variance < 0.0):

@@ -60,7 +60,15 @@ class Operators(ABC):
     """m operators, each with its own threshold and input; they remember."""
 
     def __init__(self, thresholds: Array) -> None:
-        """Thresholds (m,), in their inputs' units, none negative. Starts as `reset` does."""
+        """Start as `reset` does.
+
+        Args:
+            thresholds: (m,), in their inputs' units.
+
+        Raises:
+            ValueError: a threshold is negative.
+
+        """
         self._thresholds = np.asarray(thresholds, dtype=float)
         if np.any(self._thresholds < 0.0):
             raise ValueError(f"a threshold is negative: {self._thresholds.min()}")
@@ -72,9 +80,16 @@ class Operators(ABC):
 
     @abstractmethod
     def run(self, inputs: Array) -> Played:
-        """Take inputs (n, m) in their order, from where the last call left off.
+        """Take inputs in their order, from where the last call ended.
 
         The results are the same to the last bit however the inputs are cut into calls.
+
+        Args:
+            inputs: (n, m), of each operator, in its threshold's unit.
+
+        Returns:
+            Outputs, spread and what is unknown of them, each (n, m), in the inputs' units.
+
         """
 
 
@@ -82,13 +97,21 @@ class PlayOperators(Operators):
     """Play operators: with corners."""
 
     def reset(self) -> None:
-        """As `Operators.reset`."""
+        """Forget all loads, as `Operators.reset`."""
         self._state = np.zeros((3, len(self._thresholds)))
         self._state[1] = -np.inf
         self._state[2] = np.inf
 
     def run(self, inputs: Array) -> Played:
-        """As `Operators.run`: beside input -+ threshold nothing is calculated, only compared."""
+        """Run play operators: beside input -+ threshold nothing is calculated, only compared.
+
+        Args:
+            inputs: (n, m), as of `Operators.run`.
+
+        Returns:
+            Outputs, spread and what is unknown of them, each (n, m).
+
+        """
         lower = inputs - self._thresholds
         upper = inputs + self._thresholds
         states = np.empty((len(inputs), *self._state.shape))
@@ -105,18 +128,34 @@ class SmoothOperators(Operators):
     """Smooth operators, of thresholds above zero."""
 
     def __init__(self, thresholds: Array) -> None:
-        """As `Operators`; raises ValueError for a threshold of zero as well."""
+        """Start as `Operators`.
+
+        Args:
+            thresholds: (m,), in their inputs' units.
+
+        Raises:
+            ValueError: a threshold is negative or zero.
+
+        """
         super().__init__(thresholds)
         if np.any(self._thresholds == 0.0):
             raise ValueError("a threshold is zero: a smooth operator divides by it")
 
     def reset(self) -> None:
-        """As `Operators.reset`."""
+        """Forget all loads, as `Operators.reset`."""
         self._z = np.zeros((3, len(self._thresholds)))
         self._input: Array | None = None
 
     def run(self, inputs: Array) -> Played:
-        """As `Operators.run`; exact for an input that goes straight from sample to sample."""
+        """Run smooth operators, exactly for an input that goes straight from sample to sample.
+
+        Args:
+            inputs: (n, m), as of `Operators.run`.
+
+        Returns:
+            Outputs, spread and what is unknown of them, each (n, m).
+
+        """
         states = np.empty((len(inputs), *self._z.shape))
         z = self._z
         for x, now in zip(inputs, states, strict=True):

@@ -24,11 +24,18 @@ from galen_model.rotation import matrix_to_rotvec, rotvec_to_matrix
 
 
 def move_wrench(wrench_b: ArrayLike, rotation_a_b: ArrayLike, origin_b_in_a_m: ArrayLike) -> Array:
-    """Return the same wrench, known in frame b, in frame a and about a's origin.
+    """Express a wrench, known in frame b, in frame a and about a's origin.
 
-    f_a = R f_b,  tau_a = R tau_b + p x (R f_b), with p the origin of b in a.
+    f_a = R f_b,  tau_a = R tau_b + p x (R f_b), with p the origin of b in a. The shapes broadcast.
 
-    Shapes: wrench (..., 6), rotation (..., 3, 3), origin (..., 3); they broadcast.
+    Args:
+        wrench_b: (..., 6), along b's axes and about b's origin, N and N.m.
+        rotation_a_b: R (..., 3, 3).
+        origin_b_in_a_m: p (..., 3).
+
+    Returns:
+        Wrench (..., 6) along a's axes and about a's origin, N and N.m.
+
     """
     wrench = np.asarray(wrench_b, dtype=float)
     rotation = np.asarray(rotation_a_b, dtype=float)
@@ -39,9 +46,18 @@ def move_wrench(wrench_b: ArrayLike, rotation_a_b: ArrayLike, origin_b_in_a_m: A
 
 
 def move_twist(twist: ArrayLike, from_m: ArrayLike, to_m: ArrayLike) -> Array:
-    """Return the twist (..., 6) of a rigid body at another of its points, axes unchanged.
+    """Compute a rigid body's twist at another of its points, axes unchanged.
 
-    v_to = v_from + w x (to - from). Both points (..., 3) in the frame the twist is written in.
+    v_to = v_from + w x (to - from).
+
+    Args:
+        twist: (..., 6) at the first point, m/s and rad/s.
+        from_m: the first point (..., 3), in the frame that the twist is written in.
+        to_m: the other point (..., 3), in the same frame.
+
+    Returns:
+        Twist (..., 6) at the other point, along the same axes.
+
     """
     moved = np.array(twist, dtype=float)
     arm = np.asarray(to_m, dtype=float) - np.asarray(from_m, dtype=float)
@@ -74,15 +90,27 @@ class Transform:
         return len(self.translation)
 
     def inverse(self) -> Transform:
-        """T_b_a."""
+        """Invert the transform.
+
+        Returns:
+            T_b_a.
+
+        """
         back = np.swapaxes(self.rotation, -1, -2)
         return Transform(back, -np.einsum("...ij,...j->...i", back, self.translation))
 
     def displacement_from(self, other: Transform) -> Array:
-        """Return what takes `other` to this one, (..., 6), both seen in the same frame.
+        """Compute what takes `other` to this pose, both seen in the same frame.
 
-        Translation (m) of the origin and rotation vector (rad) of R R_other^T, along the axes of
-        that frame: a deflection, if `other` is the pose without load.
+        It is a deflection, if `other` is the pose without load.
+
+        Args:
+            other: poses that broadcast against these.
+
+        Returns:
+            Translation (m) of the origin and rotation vector (rad) of R R_other^T, along the axes
+            of that frame, (..., 6).
+
         """
         turned = self.rotation @ np.swapaxes(other.rotation, -1, -2)
         return np.concatenate(
@@ -90,7 +118,15 @@ class Transform:
         )
 
     def displaced(self, by: Array) -> Transform:
-        """Displaced by (..., 6): `displaced(d).displacement_from(self)` is d."""
+        """Displace the pose: `displaced(d).displacement_from(self)` is d.
+
+        Args:
+            by: translation (m) and rotation vector (rad) along the outer frame's axes, (..., 6).
+
+        Returns:
+            The displaced poses.
+
+        """
         turn = rotvec_to_matrix(np.array(by[..., 3:]))  # SciPy wants them writable
         return Transform(turn @ self.rotation, self.translation + by[..., :3])
 
@@ -99,13 +135,19 @@ IDENTITY = Transform(np.eye(3), np.zeros(3))
 
 
 def mean_pose(poses: Transform) -> tuple[Transform, Array, np.ndarray]:
-    """Return the mean of poses (n) that scatter closely about one, and a few that lie far off.
-
-    Also the standard deviation (6,) of one (m, rad), and which went into the mean (n,).
+    """Average poses that scatter closely about one, but for a few that lie far off.
 
     From the medians and median absolute deviations of the six displacements, those beyond four
     standard deviations are left out; the mean is that of the others' displacements. Rotations
     start from the chordal mean (Moakher, *SIAM J. Matrix Anal. Appl.* 24, 2002, section 3.1).
+
+    Args:
+        poses: n of them.
+
+    Returns:
+        The mean; the standard deviation (6,) of one pose, m and rad, along the outer frame's axes;
+        and the mask (n,) of those that went into the mean.
+
     """
     mean = Transform(nearest_rotation(poses.rotation.mean(axis=0)), poses.translation.mean(axis=0))
     for _ in range(3):  # far ones have drawn the start towards them
@@ -122,9 +164,16 @@ def mean_pose(poses: Transform) -> tuple[Transform, Array, np.ndarray]:
 
 
 def nearest_rotation(matrix: Array) -> Array:
-    """Return the rotation (3, 3) nearest to a matrix in Frobenius norm, by its singular vectors.
+    """Find the rotation nearest to a matrix in Frobenius norm, by its singular vectors.
 
     Umeyama, *IEEE Trans. PAMI* 13(4), 1991, lemma.
+
+    Args:
+        matrix: any (3, 3).
+
+    Returns:
+        A rotation (3, 3).
+
     """
     left, _, right = np.linalg.svd(matrix)
     flip = np.array([1.0, 1.0, np.linalg.det(left) * np.linalg.det(right)])
@@ -132,10 +181,19 @@ def nearest_rotation(matrix: Array) -> Array:
 
 
 def solve_base(marker: Transform, tool: Transform, offset: Transform = IDENTITY) -> Transform:
-    """W for a known Y; marker M (n), tool F (n). One pose is enough.
+    """Solve for W, the base's marker in the base, with Y known; one pose is enough.
 
     Rotation: the one nearest to the sum of R_F R_Y R_M^T (Umeyama 1991; Moakher 2002, section 3.1:
     the chordal mean). Translation: the mean of t_FY - R_W t_M.
+
+    Args:
+        marker: M, n poses of the tool's marker in the base's marker.
+        tool: F, n poses of the tool in the base.
+        offset: Y, the marker in the tool.
+
+    Returns:
+        W.
+
     """
     there = tool @ Transform(
         np.broadcast_to(offset.rotation, tool.rotation.shape),
@@ -148,14 +206,22 @@ def solve_base(marker: Transform, tool: Transform, offset: Transform = IDENTITY)
 
 
 def solve_base_and_offset(marker: Transform, tool: Transform) -> tuple[Transform, Transform]:
-    """W and Y; marker M (n), tool F (n), n >= 3 with rotations about two axes (`turns`).
+    """Solve for W and Y, with rotations about two axes (`turns`).
 
     Shah, *J. Mechanisms Robotics* 5(3), 2013, 031007, sections 3 and 4. From R_F R_Y = R_W R_M,
 
         vec R_Y = (R_M^T kron R_F^T) vec R_W,   so   K vec R_Y = n vec R_W
 
     with K the sum of R_M kron R_F: vec R_Y and vec R_W are K's first right and left singular
-    vectors, up to a scale that the determinants tell. Then t_W - R_F t_Y = t_F - R_W t_M is linear.
+    vectors, up to a scale that the determinants give. Then t_W - R_F t_Y = t_F - R_W t_M is linear.
+
+    Args:
+        marker: M, n >= 3 poses of the tool's marker in the base's marker.
+        tool: F, n poses of the tool in the base.
+
+    Returns:
+        W, the base's marker in the base, and Y, the marker in the tool.
+
     """
     kron = np.einsum("nij,nkl->ikjl", marker.rotation, tool.rotation).reshape(9, 9)
     left, _, right = np.linalg.svd(kron)
@@ -175,11 +241,17 @@ def _rotation_of(vector: Array) -> Array:
 
 
 def turns(rotations: Array) -> Array:
-    """How far poses (n, 3, 3) turn from their mean: root mean square (3,) rad, largest first.
+    """Compute how far poses turn from their mean, about their rotation vectors' principal axes.
 
-    About the principal axes of their rotation vectors. Y is identifiable beside W only where the
-    second is not small: of a turn about one axis alone, a shift of the marker along that axis, and
-    a turn about it, look the same as one of the base.
+    Y is identifiable beside W only where the second is not small: of a turn about one axis alone, a
+    shift of the marker along that axis, and a turn about it, look the same as one of the base.
+
+    Args:
+        rotations: (n, 3, 3).
+
+    Returns:
+        Root mean square angles (3,), rad, largest first.
+
     """
     mean = nearest_rotation(rotations.mean(axis=0))
     vectors = matrix_to_rotvec(np.swapaxes(rotations, -1, -2) @ mean)

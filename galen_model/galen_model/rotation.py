@@ -24,29 +24,70 @@ def _about(angle_rad: ArrayLike, first: int, second: int) -> Array:
 
 
 def rot_x(angle_rad: ArrayLike) -> Array:
-    """Rotation about x; angles of shape (...) give matrices of shape (..., 3, 3)."""
+    """Compute rotations about x.
+
+    Args:
+        angle_rad: angles (...).
+
+    Returns:
+        Matrices (..., 3, 3).
+
+    """
     return _about(angle_rad, 1, 2)
 
 
 def rot_y(angle_rad: ArrayLike) -> Array:
-    """Rotation about y; angles of shape (...) give matrices of shape (..., 3, 3)."""
+    """Compute rotations about y.
+
+    Args:
+        angle_rad: angles (...).
+
+    Returns:
+        Matrices (..., 3, 3).
+
+    """
     return _about(angle_rad, 2, 0)
 
 
 def rot_z(angle_rad: ArrayLike) -> Array:
-    """Rotation about z; angles of shape (...) give matrices of shape (..., 3, 3)."""
+    """Compute rotations about z.
+
+    Args:
+        angle_rad: angles (...).
+
+    Returns:
+        Matrices (..., 3, 3).
+
+    """
     return _about(angle_rad, 0, 1)
 
 
 def about(axis: Array, angle_rad: ArrayLike) -> Array:
-    """Rotation (..., 3, 3) about a unit axis (3,), angles (...): 1 + sin K + (1 - cos) K^2."""
+    """Compute rotations about an axis: 1 + sin K + (1 - cos) K^2.
+
+    Args:
+        axis: unit vector (3,).
+        angle_rad: angles (...).
+
+    Returns:
+        Matrices (..., 3, 3).
+
+    """
     angle = np.asarray(angle_rad, dtype=float)[..., None, None]
     turned = skew(axis)
     return np.eye(3) + np.sin(angle) * turned + (1.0 - np.cos(angle)) * (turned @ turned)
 
 
 def skew(vector: ArrayLike) -> Array:
-    """Return the matrix v^ with v^ w = v x w; vectors (..., 3) give matrices (..., 3, 3)."""
+    """Compute the matrix v^ with v^ w = v x w.
+
+    Args:
+        vector: v (..., 3).
+
+    Returns:
+        Matrices (..., 3, 3), in v's unit.
+
+    """
     v = np.asarray(vector, dtype=float)
     matrix = np.zeros((*v.shape, 3))
     matrix[..., 0, 1], matrix[..., 0, 2] = -v[..., 2], v[..., 1]
@@ -56,20 +97,55 @@ def skew(vector: ArrayLike) -> Array:
 
 
 def rotvec_to_matrix(rotvec_rad: ArrayLike) -> Array:
-    """Rotation matrix (..., 3, 3) of a rotation vector (..., 3) in rad."""
+    """Convert rotation vectors to matrices.
+
+    Args:
+        rotvec_rad: (..., 3), axis times angle.
+
+    Returns:
+        Matrices (..., 3, 3).
+
+    """
     return np.asarray(Rotation.from_rotvec(np.asarray(rotvec_rad, dtype=float)).as_matrix())
 
 
 def matrix_to_rotvec(matrix: ArrayLike) -> Array:
-    """Rotation vector (..., 3) in rad of a rotation matrix (..., 3, 3)."""
+    """Convert matrices to rotation vectors.
+
+    Args:
+        matrix: rotations (..., 3, 3).
+
+    Returns:
+        Axis times angle (..., 3), rad, of angles up to pi.
+
+    """
     return np.asarray(Rotation.from_matrix(np.asarray(matrix, dtype=float)).as_rotvec())
 
 
 def matrix_to_quaternion(matrix: ArrayLike) -> Array:
-    """Return unit quaternion (..., 4) in the order x, y, z, w, as ROS writes it."""
+    """Convert matrices to quaternions in ROS' order.
+
+    Args:
+        matrix: rotations (..., 3, 3).
+
+    Returns:
+        Unit quaternions (..., 4): x, y, z, w.
+
+    """
     return np.asarray(Rotation.from_matrix(np.asarray(matrix, dtype=float)).as_quat())
 
 
 def quaternion_to_matrix(quaternion_xyzw: ArrayLike) -> Array:
-    """Rotation matrix (..., 3, 3) of a quaternion (..., 4) in the order x, y, z, w."""
+    """Convert quaternions in ROS' order to matrices.
+
+    Args:
+        quaternion_xyzw: (..., 4), of any length but zero.
+
+    Returns:
+        Matrices (..., 3, 3).
+
+    Raises:
+        ValueError: a quaternion's length is zero (from SciPy).
+
+    """
     return np.asarray(Rotation.from_quat(np.asarray(quaternion_xyzw, dtype=float)).as_matrix())

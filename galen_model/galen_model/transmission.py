@@ -85,10 +85,17 @@ class JointRun:
 
 
 def noise_of(runs: Sequence[JointRun]) -> LagNoise:
-    """From all runs: steps of the encoders, if they are seen, and the lag's second differences.
+    """Estimate the noise from all runs: encoders' steps, if seen, and the lag's second differences.
 
     White noise s has second differences of sqrt(6) s; what the lag itself does from one reading to
     the next is small beside it. Steps s of an encoder leave s / sqrt(12).
+
+    Args:
+        runs: all recordings of one joint.
+
+    Returns:
+        Steps and standard deviations of the lag, rad.
+
     """
     motor = max(encoder_step(run.motor) for run in runs)
     link = max(encoder_step(run.link) for run in runs)
@@ -102,7 +109,15 @@ def noise_of(runs: Sequence[JointRun]) -> LagNoise:
 
 
 def encoder_step(angle: Array) -> float:
-    """Return the step (rad) of the encoder that angles (n,) come from; 0 if they don't show one."""
+    """Find the step of the encoder that angles come from.
+
+    Args:
+        angle: (n,), rad.
+
+    Returns:
+        The step, rad; 0 if the angles don't show one.
+
+    """
     distinct = np.unique(angle)
     if len(distinct) > 0.5 * len(angle):
         return 0.0
@@ -113,11 +128,19 @@ def encoder_step(angle: Array) -> float:
 
 
 def lost_after_reversal(leading: Sequence[Array], trailing: Sequence[Array]) -> float:
-    """Return the share of motion that the trailing end lacks after a reversal.
+    """Compute the share of motion that the trailing end lacks after a reversal.
 
-    Over an eighth of the motion after the leading end turned back; angles (n,) of each run. Near 0
-    if the trailing end follows at once, 1 if it stands. An end that drives has turned before the
-    other one does: taken the wrong way round, it is near 0.
+    Over an eighth of the motion after the leading end turned back. An end that drives has turned
+    before the other one does: taken the wrong way round, the share is near 0.
+
+    Args:
+        leading: of each run, angles (n,) of the end that is taken to drive, rad.
+        trailing: of each run, angles (n,) of the other end, rad.
+
+    Returns:
+        Median over the reversals: near 0 if the trailing end follows at once, 1 if it stands; 0 if
+        there is no reversal.
+
     """
     ratios = [
         (after[last] - after[first]) / (before[last] - before[first])
@@ -128,7 +151,15 @@ def lost_after_reversal(leading: Sequence[Array], trailing: Sequence[Array]) -> 
 
 
 def swapped(runs: Sequence[JointRun]) -> bool:
-    """Whether motion is lost from the link to the motor, and not the other way."""
+    """Check whether motion is lost from the link to the motor, and not the other way.
+
+    Args:
+        runs: all recordings of one joint.
+
+    Returns:
+        Whether the columns of motor and link look exchanged.
+
+    """
     motors, links = [run.motor for run in runs], [run.link for run in runs]
     there, back = lost_after_reversal(motors, links), lost_after_reversal(links, motors)
     return back > _MUCH_LOST and back > 2.0 * there
@@ -169,19 +200,45 @@ class Parts:
     whole_runs: bool
 
     def rows(self, parts: Sequence[int]) -> Used:
-        """Return the readings of these parts."""
+        """Find the readings of some parts.
+
+        Args:
+            parts: numbers of parts.
+
+        Returns:
+            Of each run, the mask (n,) of its readings that belong to them.
+
+        """
         return [np.isin(label, parts) for label in self.label]
 
     def trained_on(self, part: int) -> list[int]:
-        """Return the parts that a model may be fitted to that is checked on this one."""
+        """List the parts that a model may be fitted to that is checked on a given one.
+
+        Args:
+            part: number of the part that is held out.
+
+        Returns:
+            Numbers of the other parts.
+
+        """
         return np.flatnonzero(self.apart[part]).tolist()
 
 
 def whole_runs(runs: Sequence[JointRun], unlike: str | None = None) -> Parts:
-    """Each run is a part.
+    """Make each run a part.
 
-    `unlike`: a pattern for the runs' names; where all its groups differ, and only there, one run
-    may train for the other. Raises GalenError.
+    Args:
+        runs: recordings of one joint.
+        unlike: regular expression with groups for the runs' names; one run may train for another
+            only where all their groups differ. None: all runs train for each other.
+
+    Returns:
+        As many parts as runs, with the runs' names.
+
+    Raises:
+        GalenError: there are fewer than three runs, a run has fewer than two others to train on, or
+            `unlike` is no regular expression or finds no groups in a name.
+
     """
     if len(runs) < 3:
         raise GalenError(f"{len(runs)} runs: to hold out whole ones takes three; hold out blocks")
@@ -200,7 +257,19 @@ def whole_runs(runs: Sequence[JointRun], unlike: str | None = None) -> Parts:
 
 
 def time_blocks(runs: Sequence[JointRun], count: int) -> Parts:
-    """Each run is cut into `count` equal blocks of time, the same of all runs are a part."""
+    """Cut each run into equal blocks of time; the same block of all runs is a part.
+
+    Args:
+        runs: recordings of one joint.
+        count: blocks of each, at least 3.
+
+    Returns:
+        `count` parts, each checked with all others as training.
+
+    Raises:
+        GalenError: fewer than three blocks are asked for.
+
+    """
     if count < 3:
         raise GalenError(f"{count} blocks: at least three are needed")
     label = tuple(np.arange(len(run)) * count // len(run) for run in runs)
@@ -253,7 +322,18 @@ class Scales:
         window_s: float,
         direction_rad_s: float | None = None,
     ) -> Scales:
-        """From the used readings, booleans (n,) of each run; `direction_rad_s`: v0, if given."""
+        """Compute the scales from the used readings.
+
+        Args:
+            runs: recordings of one joint.
+            used: of each run, the mask (n,) of its readings that count.
+            window_s: length of the velocity's window.
+            direction_rad_s: v0; None: DIRECTION_SHARE of the 95th percentile of the used speeds.
+
+        Returns:
+            Scales at the joint, in the motor's sense.
+
+        """
         motor = np.concatenate([run.motor[some] for run, some in zip(runs, used, strict=True)])
         torque = np.concatenate([run.torque[some] for run, some in zip(runs, used, strict=True)])
         lag = np.concatenate([run.lag[some] for run, some in zip(runs, used, strict=True)])
@@ -288,10 +368,17 @@ TERMS = (*FREE, "spring", *TORQUE_PLAYS, *MOTION_PLAYS)
 
 
 def design(run: JointRun, scales: Scales) -> Array:
-    """All terms (n, len(TERMS)) of a run, from a start that is unloaded and amid the gap.
+    """Compute all terms of a run, from a start that is unloaded and amid the gap.
 
-    A lag in rad is what their weights give: the offset's, rad; gear's, direction's and plays' of
-    the motion, rad or 1; the delay's, s; spring's and plays' of the torque, rad/N.m.
+    Args:
+        run: recording of one joint.
+        scales: of the runs that the model is fitted to.
+
+    Returns:
+        Columns (n, len(TERMS)). A lag in rad is what their weights give: the offset's, rad; gear's,
+        direction's and plays' of the motion, rad or 1; the delay's, s; spring's and plays' of the
+        torque, rad/N.m.
+
     """
     speed = velocity(run, scales.window_s)
     torque = np.repeat(run.torque[:, None], len(TORQUE_GRID), axis=1)
@@ -312,7 +399,16 @@ def design(run: JointRun, scales: Scales) -> Array:
 
 
 def velocity(run: JointRun, window_s: float) -> Array:
-    """Return the motor's velocity (n,), rad/s, from readings up to each and none after it."""
+    """Estimate the motor's velocity from readings up to each and none after it.
+
+    Args:
+        run: recording of one joint.
+        window_s: length of the parabola, at least four readings.
+
+    Returns:
+        Velocity (n,), rad/s, at the joint.
+
+    """
     count = max(4, round(window_s / run.step_s) + 1)
     back = -run.step_s * np.arange(count)  # newest first
     slope = np.linalg.pinv(np.stack([np.ones(count), back, back**2], axis=1))[1]

@@ -38,7 +38,15 @@ MAX_URDF_BYTES = 10_000_000
 
 
 def constant(*values: float) -> Array:
-    """Return an array that can't be written to."""
+    """Make an array that can't be written to.
+
+    Args:
+        *values: its elements.
+
+    Returns:
+        (n,).
+
+    """
     array = np.array(values, dtype=float)
     array.setflags(write=False)
     return array
@@ -181,7 +189,16 @@ class Arm:
         return tuple(joint.unit for joint in self.joints)
 
     def by_unit(self, metres: float, radians: ArrayLike) -> Array:
-        """Return (n,): a value for prismatic joints; one, or (k,), for the revolute."""
+        """Make an array by the joints' kinds.
+
+        Args:
+            metres: value of each prismatic joint.
+            radians: value of the revolute joints: one, or (k,).
+
+        Returns:
+            (n,) in the arm's order.
+
+        """
         values = np.full(len(self.joints), float(metres))
         values[list(self.turning)] = radians
         return values
@@ -210,7 +227,15 @@ class Arm:
         return {name: value for name, value in found.items() if math.isfinite(value)}
 
     def with_stiffness(self, stiffness: Mapping[str, float]) -> Arm:
-        """Return the arm with other stiffnesses, by names as `stiffness` has them."""
+        """Change stiffnesses.
+
+        Args:
+            stiffness: N/m or N.m/rad by names as `Arm.stiffness` has them; others stay.
+
+        Returns:
+            The changed arm.
+
+        """
         joints = tuple(
             replace(joint, stiffness=stiffness.get(joint.name, joint.stiffness))
             for joint in self.joints
@@ -230,7 +255,15 @@ class Arm:
         return hashlib.sha256(self.urdf.encode()).hexdigest()
 
     def difference(self, other: Arm) -> str:
-        """Return what another arm has otherwise, in words; empty where both move alike."""
+        """Describe what another arm has otherwise: joints, frames, sensor's place and gravity.
+
+        Args:
+            other: arm to compare with.
+
+        Returns:
+            The first difference, in words; empty where both move alike.
+
+        """
         if self.joint_names != other.joint_names:
             return (
                 f"the joints are {', '.join(other.joint_names)} instead of"
@@ -271,7 +304,16 @@ class Arm:
         )
 
     def nearest(self, joints: ArrayLike, to: ArrayLike) -> Array:
-        """Joints (..., n) or angles (..., k), the endless ones by whole turns nearest to `to`."""
+        """Move endless joints by whole turns to where they are nearest to other values.
+
+        Args:
+            joints: (..., n), or angles (..., k); m and rad.
+            to: values of the same kind, which broadcast.
+
+        Returns:
+            Joints or angles as given, the endless ones moved.
+
+        """
         q = np.asarray(joints, dtype=float)
         endless = self.endless
         if not endless.any():
@@ -287,16 +329,41 @@ class Arm:
         return constant(*(self.joints[k].home for k in self.turning))
 
     def angles(self, joints: ArrayLike) -> Array:
-        """Values (..., k) of the revolute joints, rad."""
+        """Select the values of the revolute joints.
+
+        Args:
+            joints: (..., n), m and rad.
+
+        Returns:
+            Angles (..., k), rad.
+
+        """
         return np.asarray(joints, dtype=float)[..., self.turning]
 
     def angles_of(self, joints: tuple[float, ...]) -> tuple[float, ...]:
-        """As `angles`, of one sample in plain floats; angles (k,) alone come back as they are."""
+        """Select the values of the revolute joints of one sample in plain floats.
+
+        Args:
+            joints: n of them, m and rad; k angles alone come back as they are.
+
+        Returns:
+            k angles, rad.
+
+        """
         turning = self.turning
         return joints if len(joints) == len(turning) else tuple([joints[k] for k in turning])
 
     def with_angles(self, angles: ArrayLike, joints: ArrayLike | None = None) -> Array:
-        """Joints (..., n): the revolute at angles (..., k), others as in `joints` or at home."""
+        """Complete angles of the revolute joints by the other joints.
+
+        Args:
+            angles: (..., k), rad.
+            joints: (..., n), whose prismatic joints are taken; None: home.
+
+        Returns:
+            Joints (..., n), m and rad.
+
+        """
         angles = np.asarray(angles, dtype=float)
         others = self.home if joints is None else np.asarray(joints, dtype=float)
         found = np.broadcast_to(others, (*angles.shape[:-1], len(self.joints))).copy()
@@ -304,13 +371,29 @@ class Arm:
         return found
 
     def described(self, angles: ArrayLike) -> str:
-        """Angles (k,) with the joints' names, for people: "roll 0.300, tilt 1.200 rad"."""
+        """Write angles with the joints' names, for people: "roll 0.300, tilt 1.200 rad".
+
+        Args:
+            angles: (k,), rad.
+
+        Returns:
+            The text.
+
+        """
         values = np.asarray(angles, dtype=float)
         pairs = zip(self.turning_names, values, strict=True)
         return ", ".join(f"{name} {value:.3f}" for name, value in pairs) + " rad"
 
     def limit_fault(self, joints: ArrayLike) -> str:
-        """Which limit joints (n,) exceed, a delta's carriages included; empty for none."""
+        """Name the limit that joints exceed, a delta's carriages included.
+
+        Args:
+            joints: (n,), m and rad.
+
+        Returns:
+            A clause on the first one; empty for none.
+
+        """
         q = np.asarray(joints, dtype=float)
         for joint, value in zip(self.joints, q, strict=True):
             if not joint.lower <= value <= joint.upper:
@@ -328,7 +411,16 @@ class Arm:
     # Gravity and kinematics
 
     def direction_in_sensor(self, angles: ArrayLike, direction: ArrayLike) -> Array:
-        """R_base_sensor^T d (..., 3) of a vector d (3,) in the base's frame, at angles (..., k)."""
+        """Turn a vector from the base's frame into the sensor's: R_base_sensor^T d.
+
+        Args:
+            angles: (..., k), rad.
+            direction: d (3,) in the base's frame.
+
+        Returns:
+            (..., 3) in the sensor's frame.
+
+        """
         angles = np.asarray(angles, dtype=float)
         places = range(angles.shape[-1])
         cosines, sines = np.cos(angles), np.sin(angles)
@@ -341,35 +433,86 @@ class Arm:
     def components_in_sensor(
         self, direction: Components, cosines: Iterable[Any], sines: Iterable[Any]
     ) -> Components:
-        """As `direction_in_sensor`, of the angles' cosines and sines (k): floats or arrays."""
+        """Turn a vector's components as `direction_in_sensor`, by the angles' cosines and sines.
+
+        Args:
+            direction: three components in the base's frame, floats or arrays.
+            cosines: of the k angles, floats or arrays.
+            sines: of the k angles, alike.
+
+        Returns:
+            Three components in the sensor's frame.
+
+        """
         parts = direction
         for turn, cos, sin in zip(self.turns, cosines, sines, strict=True):
             parts = turn(parts, cos, sin)
         return self.into_sensor(parts)
 
     def gravity_in_sensor(self, angles: ArrayLike | None) -> Array:
-        """Gravity (..., 3) in the sensor's frame at angles (..., k), or at home for None, m/s^2."""
+        """Compute gravity in the sensor's frame.
+
+        Args:
+            angles: (..., k), rad; None: home.
+
+        Returns:
+            (..., 3), m/s^2.
+
+        """
         angles = self.home_angles if angles is None else angles
         size = float(np.linalg.norm(self.gravity_m_s2))
         return self.direction_in_sensor(angles, self.gravity_m_s2 / size) * size
 
     def rotation(self, angles: ArrayLike) -> Array:
-        """R_base_sensor (..., 3, 3) at angles (..., k)."""
+        """Compute R_base_sensor.
+
+        Args:
+            angles: (..., k), rad.
+
+        Returns:
+            (..., 3, 3).
+
+        """
         return self.sensor_pose(self.with_angles(angles))[0]
 
     def sensor_pose(self, joints: ArrayLike) -> tuple[Array, Array]:
-        """R_base_sensor (..., 3, 3) and the sensor's origin in the base (..., 3), m."""
+        """Compute the sensor's pose in the base.
+
+        Args:
+            joints: (..., n), m and rad.
+
+        Returns:
+            R_base_sensor (..., 3, 3) and the sensor's origin (..., 3), m.
+
+        """
         rotation, origin = self._links(joints)[-1] if self.joints else (np.eye(3), np.zeros(3))
         origin = origin + rotation @ self.sensor_origin_m
         return rotation @ self.sensor_rotation, origin
 
     def tip_pose(self, joints: ArrayLike, tip_m: ArrayLike) -> tuple[Array, Array]:
-        """R_base_tip (..., 3, 3) and the tip in the base (..., 3), m; tip_m (3,) in the sensor."""
+        """Compute the tip's pose in the base; the tip has the sensor's axes.
+
+        Args:
+            joints: (..., n), m and rad.
+            tip_m: (3,) in the sensor's frame.
+
+        Returns:
+            R_base_tip (..., 3, 3) and the tip (..., 3), m.
+
+        """
         rotation, origin = self.sensor_pose(joints)
         return rotation, origin + rotation @ np.asarray(tip_m, dtype=float)
 
     def joint_axes(self, joints: ArrayLike) -> tuple[Array, Array]:
-        """Origins (..., n, 3), m, and unit axes (..., n, 3) of the joints, in the base's frame."""
+        """Compute the joints' places in the base.
+
+        Args:
+            joints: (..., n), m and rad.
+
+        Returns:
+            Origins (..., n, 3), m, and unit axes (..., n, 3), in the base's frame.
+
+        """
         links = self._links(joints)
         # A joint's own motion doesn't change its axis.
         axes = [
@@ -378,9 +521,17 @@ class Arm:
         return np.stack([origin for _, origin in links], axis=-2), np.stack(axes, axis=-2)
 
     def tip_jacobian(self, joints: ArrayLike, tip_m: ArrayLike) -> Array:
-        """Jacobian (..., 6, n) of the tip's twist (linear, angular; base) by joint velocities.
+        """Compute the Jacobian of the tip's twist by joint velocities.
 
         A revolute column is (axis x (tip - origin), axis); a prismatic one (axis, 0).
+
+        Args:
+            joints: (..., n), m and rad.
+            tip_m: (3,) in the sensor's frame.
+
+        Returns:
+            (..., 6, n): linear, then angular velocity, in the base's frame.
+
         """
         links = self._links(joints)
         rotation, origin = links[-1]
@@ -399,10 +550,21 @@ class Arm:
     # Elasticity
 
     def tip_compliance(self, joints: ArrayLike, tip_m: ArrayLike) -> Array:
-        """C (6, 6): twist of the tip (m, rad) over the wrench at the tip (N, N.m), base's frame.
+        """Compute the tip's compliance.
 
         Springs in series, J K^-1 J^T over the elastic joints; a delta adds its platform on rods,
         T K_p^-1 T^T with T the transport of a twist from platform to tip.
+
+        Args:
+            joints: (n,), m and rad.
+            tip_m: (3,) in the sensor's frame.
+
+        Returns:
+            C (6, 6): twist of the tip (m, rad) over the wrench at the tip (N, N.m), base's frame.
+
+        Raises:
+            KinematicsError: a delta's rods don't reach the pose.
+
         """
         q = np.asarray(joints, dtype=float)
         _, tip = self.tip_pose(q, tip_m)
@@ -419,9 +581,19 @@ class Arm:
         return np.asarray(compliance)
 
     def deflection(self, joints: ArrayLike, applied_wrench: ArrayLike, tip_m: ArrayLike) -> Array:
-        """Displacement (6,) of the tip: translation (m), rotation vector (rad) in the base's frame.
+        """Compute the tip's displacement under a wrench at the sensor.
 
-        applied_wrench (6,): in the sensor's frame about its origin, N and N.m. tip_m (3,) there.
+        Args:
+            joints: (n,), m and rad.
+            applied_wrench: (6,) in the sensor's frame about its origin, N and N.m.
+            tip_m: (3,) in the sensor's frame.
+
+        Returns:
+            (6,): translation (m) and rotation vector (rad) in the base's frame.
+
+        Raises:
+            KinematicsError: a delta's rods don't reach the pose.
+
         """
         rotation, origin = self.sensor_pose(joints)
         _, tip = self.tip_pose(joints, tip_m)

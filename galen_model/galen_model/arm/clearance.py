@@ -75,7 +75,18 @@ class Box:
 
 
 def boxes_from_numbers(numbers: Sequence[float]) -> tuple[Box, ...]:
-    """Six numbers a box: smallest x, y, z, largest x, y, z, m; raises ObstacleError."""
+    """Make boxes of a parameter's numbers.
+
+    Args:
+        numbers: six a box: smallest x, y, z, largest x, y, z, m, in base_link.
+
+    Returns:
+        Boxes, named "box 1" and on.
+
+    Raises:
+        ObstacleError: there are too few or too many numbers, or some make no box.
+
+    """
     if len(numbers) % 6:
         raise ObstacleError(
             f"obstacles has {len(numbers)} numbers: six a box are needed, smallest x y z, then"
@@ -118,9 +129,16 @@ class ArmClearance:
     ) -> None:
         """Take the shapes; parts of the arm that touch at most poses and at `here` are no pair.
 
-        clearance_m: nothing may come nearer to a box; tip_m (3,): the tool's tip in the sensor's
-        frame; here (n,): the present joints, None for home. Raises ObstacleError for a tip that is
-        no tool's.
+        Args:
+            boxes: obstacles.
+            clearance_m: nothing may come nearer to a box.
+            tip_m: the tool's tip (3,) in the sensor's frame.
+            arm: with its description.
+            here: the present joints (n,), m and rad; None: home.
+
+        Raises:
+            ObstacleError: the tip is no tool's.
+
         """
         if not np.linalg.norm(tip_m) <= MOST_TIP_M:
             raise ObstacleError(
@@ -220,7 +238,12 @@ class ArmClearance:
         self._keep(kept)
 
     def require_shapes(self) -> None:
-        """Raise ObstacleError, with the remedy, where shapes of the arm lack."""
+        """Check that all shapes of the arm are there.
+
+        Raises:
+            ObstacleError: some lack; the message has the remedy.
+
+        """
         if self.unchecked:
             raise ObstacleError(
                 f"{self.unchecked}, so that the arm could hit itself unseen: make its collision"
@@ -266,9 +289,15 @@ class ArmClearance:
         return np.array([one(shapes, found, pair).min_distance for pair in pairs.tolist()])
 
     def nearest(self, joints: Array) -> tuple[float, str, str] | None:
-        """Return the smallest distance at a pose, m, its part and what it is from; None for none.
+        """Find the smallest distance at a pose.
 
-        Negative inside a box.
+        Args:
+            joints: (n,), m and rad.
+
+        Returns:
+            Distance, m, negative where the two overlap; the part; and what it is from. None where
+            no pair is looked at.
+
         """
         if not self._pairs:
             return None
@@ -277,14 +306,30 @@ class ArmClearance:
         return self._named(pair, distances[pair])
 
     def pose_fault(self, joints: Array) -> str:
-        """Why the arm can't stand here: limit, carriage, box or itself; empty when it can."""
+        """Name why the arm can't stand at a pose: limit, carriage, box or itself.
+
+        Args:
+            joints: (n,), m and rad.
+
+        Returns:
+            A clause; empty when it can.
+
+        """
         q = np.asarray(joints, dtype=float)
         return self.arm.limit_fault(q) or self._fault(self._distances(q))
 
     def path_fault(self, start: Array, goal: Array) -> str:
-        """Why the arm can't go straight from `start` to `goal`, both included; empty when it can.
+        """Name why the arm can't go straight in joint space from pose to pose, both included.
 
         Limits are not asked here: between two poses inside them a straight way is inside.
+
+        Args:
+            start: joints (n,), m and rad.
+            goal: joints (n,), m and rad.
+
+        Returns:
+            A clause; empty when it can.
+
         """
         q, way = np.asarray(start, dtype=float), np.asarray(goal, dtype=float) - start
         travel_m = self._furthest_m(q, way)
@@ -332,10 +377,17 @@ class ArmClearance:
 
 
 def mesh_path(filename: str) -> Path | None:
-    """Return where a description's mesh lies; None where it is not reachable, or above 50 MB.
+    """Find where a description's mesh lies.
 
     package:// is looked for in AMENT_PREFIX_PATH and ROS_PACKAGE_PATH; file:// and an absolute path
     are taken as they are.
+
+    Args:
+        filename: as the URDF names it.
+
+    Returns:
+        The file; None where it is not reachable, or above 50 MB.
+
     """
     kind, _, rest = filename.rpartition("://")
     found = [Path(rest)] if kind == "file" or (not kind and Path(rest).is_absolute()) else []

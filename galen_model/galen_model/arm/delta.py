@@ -67,9 +67,18 @@ class LinearDelta:
         return self._carriage_height(np.asarray(self.home_m))
 
     def carriages(self, platform_m: ArrayLike, *, check_travel: bool = True) -> Array:
-        """Carriage coordinates (3,), m, of a platform position (3,).
+        """Compute the carriages of a platform position.
 
-        Raises KinematicsError where the rods don't reach, or a carriage leaves its travel.
+        Args:
+            platform_m: (3,) in the base's frame.
+            check_travel: reject carriages outside their travel.
+
+        Returns:
+            Carriage coordinates (3,), m, zero at home.
+
+        Raises:
+            KinematicsError: the rods don't reach, or a carriage leaves its travel.
+
         """
         q = self._carriage_height(np.asarray(platform_m, dtype=float)) - self._home_height_m
         if check_travel and np.any(np.abs(q) > self.carriage_travel_m):
@@ -81,12 +90,20 @@ class LinearDelta:
         return q
 
     def platform(self, carriages_m: ArrayLike) -> Array:
-        """Platform position (3,), m, above the carriages, from carriage coordinates (3,).
+        """Compute the platform position above the carriages.
 
         The platform lies on three spheres of radius L about (R u_i, c_i). Differences of the
         spheres' equations are linear in p and leave a quadratic along one line.
 
-        Raises KinematicsError where the spheres don't meet.
+        Args:
+            carriages_m: carriage coordinates (3,), zero at home.
+
+        Returns:
+            Position (3,), m, in the base's frame.
+
+        Raises:
+            KinematicsError: the spheres don't meet.
+
         """
         heights = np.asarray(carriages_m, dtype=float) + self._home_height_m
         centres = np.column_stack([self.feet_m, heights])
@@ -107,26 +124,68 @@ class LinearDelta:
         return np.append(offset + centres[0, :2] + slope * z, z)
 
     def jacobian(self, platform_m: ArrayLike) -> Array:
-        """dq/dp (3, 3): row i is n_i / n_iz, since the rods keep their length."""
+        """Compute dq/dp: row i is n_i / n_iz, since the rods keep their length.
+
+        Args:
+            platform_m: p (3,) in the base's frame.
+
+        Returns:
+            (3, 3): carriage by platform velocities.
+
+        Raises:
+            KinematicsError: the rods don't reach.
+
+        """
         directions = self.rod_directions(platform_m)
         return directions / directions[:, 2:]
 
     def rod_directions(self, platform_m: ArrayLike) -> Array:
-        """Return unit vectors n_i (3, 3; a row a leg) from carriage to platform."""
+        """Compute the rods' unit vectors n_i from carriage to platform.
+
+        Args:
+            platform_m: p (3,) in the base's frame.
+
+        Returns:
+            (3, 3), a row a leg, in the base's frame.
+
+        Raises:
+            KinematicsError: the rods don't reach.
+
+        """
         p = np.asarray(platform_m, dtype=float)
         carriage = np.column_stack([self.feet_m, self._carriage_height(p)])
         return (p - carriage) / self.rod_length_m
 
     def rod_rows(self, platform_m: ArrayLike) -> Array:
-        """Return A (6, 6), a row [n, B x n] a rod: its lengthening over the platform's twist.
+        """Compute A, a row [n, B x n] a rod: its lengthening over the platform's twist.
 
-        The twist is the platform centre's, (m, rad); rods in the order of `ball_joints_m`.
+        Args:
+            platform_m: p (3,) in the base's frame.
+
+        Returns:
+            (6, 6), rods in the order of `ball_joints_m`; the twist is the platform centre's, (m,
+            rad), in the base's frame.
+
+        Raises:
+            KinematicsError: the rods don't reach.
+
         """
         directions = np.repeat(self.rod_directions(platform_m), 2, axis=0)
         return np.hstack([directions, np.cross(self.ball_joints_m, directions)])
 
     def platform_stiffness(self, platform_m: ArrayLike) -> Array:
-        """K_p (6, 6) at the platform's centre: wrench over twist, base's frame, SI."""
+        """Compute K_p, the stiffness at the platform's centre.
+
+        Args:
+            platform_m: p (3,) in the base's frame.
+
+        Returns:
+            (6, 6): wrench (N, N.m) over twist (m, rad), in the base's frame.
+
+        Raises:
+            KinematicsError: the rods don't reach.
+
+        """
         rows = self.rod_rows(platform_m)
         carriage = np.zeros((6, 3))
         carriage[np.arange(6), np.repeat(np.arange(3), 2)] = rows[:, 2]

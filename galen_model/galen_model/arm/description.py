@@ -28,12 +28,22 @@ def read_arm(
     sensor_frame: str = "ft_sensor",
     gravity_m_s2: ArrayLike | None = None,
 ) -> Arm:
-    """Return the arm between two frames of a URDF.
+    """Read the arm between two frames of a URDF.
 
-    base_frame: empty for the root link. gravity_m_s2: (3,) in base_frame, None for standard gravity
-    along its -z. Raises GalenError for text that is no URDF, is larger than 10 MB or has more than
-    MAX_LINKS links, for frames that it lacks, for a joint of the chain without axis or limits, and
-    for a chain without a revolute joint.
+    Args:
+        text: the URDF.
+        base_frame: empty: the root link.
+        sensor_frame: a link that the base carries.
+        gravity_m_s2: (3,) in base_frame; None: standard gravity along its -z.
+
+    Returns:
+        The arm; with the Galen's delta, home and stiffness where the description is of a Galen.
+
+    Raises:
+        GalenError: the text is no URDF, is larger than 10 MB or has more than MAX_LINKS links,
+            lacks a frame, a joint of the chain has no axis or limits or is of another kind, or the
+            chain has no revolute joint.
+
     """
     try:
         return _read(text, base_frame, sensor_frame, gravity_m_s2)

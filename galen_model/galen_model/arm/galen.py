@@ -35,9 +35,16 @@ def galen_urdf(
     tip_m: ArrayLike = (0.0, 0.0, 0.0),
     max_velocity: ArrayLike = (0.2, 0.2, 0.2, 1.5, 1.5),
 ) -> str:
-    """Return an arm on a delta as URDF text.
+    """Write an arm on a delta as URDF text.
 
-    tip_m: (3,) in the sensor's frame, m; max_velocity: (5,), m/s and rad/s.
+    Args:
+        arm: with five joints and a delta.
+        tip_m: (3,) in the sensor's frame.
+        max_velocity: (5,), m/s and rad/s.
+
+    Returns:
+        The URDF, with visual shapes and no collision shapes.
+
     """
     assert arm.delta is not None
     robot = ElementTree.Element("robot", name=arm.name)

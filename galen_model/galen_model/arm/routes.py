@@ -26,7 +26,18 @@ class Router:
     def __init__(
         self, clearance: ArmClearance, home: Array, lattice: Array, name: str = "home"
     ) -> None:
-        """Raise ObstacleError where the arm can't stand at home, which it calls by `name`."""
+        """Look at home and at the lattice.
+
+        Args:
+            clearance: distances of the arm with its tool.
+            home: joints (n,), m and rad.
+            lattice: angles (m, k) of the poses between, rad; the other joints are at home.
+            name: what home is called in errors.
+
+        Raises:
+            ObstacleError: the arm can't stand at home.
+
+        """
         self.clearance = clearance
         self._home = np.asarray(home, dtype=float)
         if fault := clearance.pose_fault(self._home):
@@ -50,7 +61,15 @@ class Router:
         return faults
 
     def fault(self, joints: Array) -> str:
-        """Why the arm can't stand at joints (n,) or not get there from home; else empty."""
+        """Name why the arm can't stand at a pose or not get there from home.
+
+        Args:
+            joints: (n,), m and rad.
+
+        Returns:
+            A clause; empty when it can.
+
+        """
         if fault := self.clearance.pose_fault(joints):
             return fault
         try:
@@ -60,7 +79,19 @@ class Router:
         return ""
 
     def route(self, start: Array, goal: Array) -> list[Array]:
-        """Where to go one after another, each (n,), `goal` the last; raises ObstacleError."""
+        """Find a free way.
+
+        Args:
+            start: joints (n,), m and rad.
+            goal: joints (n,), m and rad.
+
+        Returns:
+            Joints (n,) to go to one after another, straight, `goal` the last.
+
+        Raises:
+            ObstacleError: no free way is found.
+
+        """
         straight = self._path_fault(start, goal)
         if not straight:
             return [np.asarray(goal, dtype=float)]

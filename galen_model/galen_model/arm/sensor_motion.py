@@ -49,7 +49,18 @@ def sensor_motion(
     accelerations: ArrayLike,
     arm: Arm,
 ) -> SensorMotion:
-    """Motion of the sensor; all (..., n) in the order of `Arm.joints`, m, rad and their rates."""
+    """Compute the motion of the sensor; the joints' values broadcast.
+
+    Args:
+        joints: (..., n) in the order of `Arm.joints`, m and rad.
+        velocities: (..., n), m/s and rad/s.
+        accelerations: (..., n), m/s^2 and rad/s^2.
+        arm: whose joints they are.
+
+    Returns:
+        Velocity and accelerations (..., 3), in the sensor's axes.
+
+    """
     given = np.broadcast_arrays(
         *(np.asarray(part, dtype=float) for part in (joints, velocities, accelerations))
     )
@@ -143,7 +154,18 @@ class MotionOfSensor:
     def at(
         self, joints: ArrayLike, velocities: ArrayLike, accelerations: ArrayLike
     ) -> tuple[list[float], list[float], list[float]]:
-        """As `SensorMotion` (three lists), at joints (n,) with rates and accelerations."""
+        """Compute the motion of the sensor at one moment.
+
+        Args:
+            joints: (n,), m and rad.
+            velocities: (n,), m/s and rad/s.
+            accelerations: (n,), m/s^2 and rad/s^2.
+
+        Returns:
+            Angular velocity, rad/s, angular acceleration, rad/s^2, and the origin's acceleration,
+            m/s^2, three numbers each, in the sensor's axes.
+
+        """
         q, v, a = (np.asarray(part, dtype=float) for part in (joints, velocities, accelerations))
         self._move(q, v, a)
         velocity, acceleration = self._velocity(), self._acceleration()

@@ -80,7 +80,15 @@ class CableSweep:
         return self.arm.angles(self.joints)
 
     def part(self, which: Array) -> CableSweep:
-        """Return some of the poses, by mask (n,) or indices."""
+        """Select some of the poses.
+
+        Args:
+            which: mask (n,) or indices.
+
+        Returns:
+            Those poses.
+
+        """
         return CableSweep(
             self.joints[which],
             self.wrench[which],
@@ -91,16 +99,34 @@ class CableSweep:
 
 
 def spacing_rad(angles: Array) -> float:
-    """How far apart the poses stand in their angles (n, k): most have another within it."""
+    """Compute how far apart the poses stand in their angles.
+
+    Args:
+        angles: (n, k), rad.
+
+    Returns:
+        Distance, rad, within which 80 % of the poses have another one; poses that coincide don't
+        count.
+
+    """
     apart = np.linalg.norm(angles[:, None] - angles[None], axis=2)
     apart[apart < _DUPLICATE_RAD] = np.inf
     return float(np.quantile(apart.min(axis=1), 0.8))
 
 
 def spread_out(joints: Array, count: int, arm: Arm) -> Array:
-    """Return indices (count,) of poses (n, d): each next one farthest from the others.
+    """Choose poses that are spread, each next one farthest from the others.
 
     A tenth of a metre of a prismatic joint counts as much as half a radian.
+
+    Args:
+        joints: (n, d), m and rad.
+        count: how many at most.
+        arm: whose joints they are.
+
+    Returns:
+        Indices (count,), sorted; all where there are fewer poses.
+
     """
     scaled = joints / arm.by_unit(0.1, 0.5)
     chosen = [int(np.argmin(np.linalg.norm(scaled - scaled.mean(axis=0), axis=1)))]
@@ -114,11 +140,21 @@ def spread_out(joints: Array, count: int, arm: Arm) -> Array:
 def fit_cable(
     sweep: CableSweep, form: str, learned_at: str, start: Array | None = None
 ) -> tuple[LearnedPull, float, Array]:
-    """Learn a cable's pull from all poses given. `start`: an earlier fit's.
+    """Learn a cable's pull from all poses given.
 
-    Returns the pull, its scatter, and the optimiser's vector, to start another from.
+    Args:
+        sweep: poses with the cable on.
+        form: one of FORMS.
+        learned_at: time of the sweep, RFC 3339.
+        start: the optimiser's vector (k + 7,) of an earlier fit of the form; None: the priors'.
 
-    Raises IdentificationError where the sweep's numbers give none.
+    Returns:
+        The pull, its scatter in units of the sensor's noise, and the optimiser's vector (k + 7,),
+        to start another from.
+
+    Raises:
+        IdentificationError: the sweep's numbers give no pull.
+
     """
     problem = _Likelihood(sweep, form)
     prior, turning = problem.prior, len(sweep.arm.turning)
@@ -287,9 +323,18 @@ class LearnedCable:
 
 
 def check_same_tool(tool: CalibrationFile, sweep: CableSweep) -> list[str]:
-    """Compare the load that the sweep's wrenches show with the file's; return warnings.
+    """Compare the load that the sweep's wrenches show with the file's.
 
-    Raises IdentificationError where another load explains nearly all of them.
+    Args:
+        tool: the file.
+        sweep: wrenches beyond it.
+
+    Returns:
+        Warnings; empty where the masses agree.
+
+    Raises:
+        IdentificationError: another load explains nearly all of the wrenches.
+
     """
     columns = _ten_columns(sweep)
     found = least_squares(columns, sweep.wrench, sweep.std_of_mean).values
@@ -312,9 +357,16 @@ def check_same_tool(tool: CalibrationFile, sweep: CableSweep) -> list[str]:
 
 
 def pose_blocks(angles: Array) -> np.ndarray:
-    """Labels (n,) of blocks of neighbours among angles (n, k): a few poses in each.
+    """Label blocks of neighbours among poses, a few poses in each.
 
     Of more than two angles the blocks are along the two directions in which they differ most.
+
+    Args:
+        angles: (n, k), rad, k at least 2.
+
+    Returns:
+        Labels (n,), from 0 on.
+
     """
     if angles.shape[1] > 2:
         _, _, directions = np.linalg.svd(angles - angles.mean(axis=0), full_matrices=False)
@@ -337,9 +389,22 @@ def learn_cable(
     forms: Iterable[str] = FORMS,
     progress: Callable[[list[tuple[str, int]]], Iterable[tuple[str, int]]] = iter,
 ) -> LearnedCable:
-    """Learn the pull, choosing among `forms` by held-out blocks; `progress` wraps the work.
+    """Learn the pull, choosing among forms by held-out blocks.
 
-    Raises NotExcitedError, or IdentificationError where held-out poses don't show a cable.
+    Args:
+        sweep: poses with the cable on.
+        learned_at: time of the sweep, RFC 3339.
+        forms: some of FORMS.
+        progress: wraps the fits, (form, block; -1: all poses), and yields them in their order.
+
+    Returns:
+        The pull of the form chosen, and the scores of all.
+
+    Raises:
+        NotExcitedError: the poses are too few, too many, too near or too far from each other, or
+            the arm has too few revolute joints.
+        IdentificationError: held-out poses don't show a cable.
+
     """
     _check_poses(sweep)
     block = pose_blocks(sweep.angles)

@@ -27,12 +27,29 @@ _KNOWN_AT_BEST = np.array([1e-4, 1e-5, 1e-5, 1e-5])
 
 
 def drift(hours: Array) -> Array:
-    """Return t I (n, 6, 6) for times (n,)."""
+    """Compute the columns of a drift, t I.
+
+    Args:
+        hours: t (n,), h.
+
+    Returns:
+        (n, 6, 6), by N/h and N.m/h.
+
+    """
     return np.asarray(hours[:, None, None] * np.eye(6))
 
 
 def loose_tool(gravity: Array, mass_kg: float) -> Array:
-    """Return (n, 6, 1), by a metre of shift of a tool's centre, for gravity (n, 3)."""
+    """Compute the columns of a shift of a tool's centre.
+
+    Args:
+        gravity: (n, 3) in the sensor's frame, m/s^2.
+        mass_kg: the tool's.
+
+    Returns:
+        (n, 6, 1), by a metre.
+
+    """
     aside = gravity / np.linalg.norm(gravity, axis=1, keepdims=True) * np.array([1.0, 1.0, 0.0])
     columns = np.zeros((len(gravity), 6, 1))
     columns[:, 3:, 0] = np.cross(aside, gravity) * mass_kg
@@ -40,13 +57,31 @@ def loose_tool(gravity: Array, mass_kg: float) -> Array:
 
 
 def turned_sensor(gravity: Array, tool: CalibrationFile) -> Array:
-    """Return (n, 6, 3) by a radian, for gravity (n, 3)."""
+    """Compute the columns of a rotation of the sensing element.
+
+    Args:
+        gravity: (n, 3) in the sensor's frame, m/s^2.
+        tool: whose tool and adapter hang on the sensor.
+
+    Returns:
+        (n, 6, 3), by a radian about each of the sensor's axes.
+
+    """
     loads = gravity_wrench(gravity, tool.load.load) + gravity_wrench(gravity, tool.adapter.load)
     return np.concatenate([skew(loads[:, :3]), skew(loads[:, 3:])], axis=1)
 
 
 def joint_zeros(angles: Array, tool: CalibrationFile) -> Array:
-    """Return (n, 6, k) by a radian, at angles (n, k) in rad."""
+    """Compute the columns of the joints' zeros, by central differences.
+
+    Args:
+        angles: reported (n, k), rad.
+        tool: the file that predicts the readings.
+
+    Returns:
+        (n, 6, k), by a radian.
+
+    """
     columns = []
     for step in _STEP_RAD * np.eye(angles.shape[1]):
         ahead, behind = tool.predict(angles + step), tool.predict(angles - step)
@@ -55,15 +90,30 @@ def joint_zeros(angles: Array, tool: CalibrationFile) -> Array:
 
 
 def constant_pull(angles: Array, tool: CalibrationFile) -> Array:
-    """Return (n, 6, 3) by a newton at the tip, at angles (n, k) in rad."""
+    """Compute the columns of a pull at the tip that is constant in the base.
+
+    Args:
+        angles: (n, k), rad.
+        tool: with arm and tip.
+
+    Returns:
+        (n, 6, 3), by a newton along each of the base's axes.
+
+    """
     to_sensor = np.swapaxes(tool.arm.rotation(angles), 1, 2)
     return np.concatenate([to_sensor, skew(tool.tip_m) @ to_sensor], axis=1)
 
 
 def moment_covariance(estimate: LoadEstimate, known_at_best: Array = _KNOWN_AT_BEST) -> Array:
-    """Return the covariance (4, 4) of (m, h), h = m p, from that of (m, p).
+    """Convert the covariance of (m, p) to that of (m, h), h = m p.
 
-    `known_at_best` (4,): least standard deviations, kg and kg.m.
+    Args:
+        estimate: mass and centre, with their covariance.
+        known_at_best: least standard deviations (4,), kg and kg.m.
+
+    Returns:
+        (4, 4), kg and kg.m.
+
     """
     change = np.eye(4) * estimate.mass_kg
     change[0, 0] = 1.0

@@ -74,7 +74,15 @@ class MotionRecord:
         return len(self.time_s)
 
     def take(self, rows: np.ndarray) -> MotionRecord:
-        """Return some of the readings, by index or mask."""
+        """Select some of the readings.
+
+        Args:
+            rows: mask (n,) or indices.
+
+        Returns:
+            Those readings.
+
+        """
         return MotionRecord(*(getattr(self, name)[rows] for name in _FIELDS))
 
 
@@ -88,10 +96,27 @@ def motion_record(
     *,
     arm: Arm,
 ) -> MotionRecord:
-    """From the arm's joints (n, k), m and rad, and wrenches (m, 6), N and N.m; stamps in ns.
+    """Make a recording of joints and wrenches into the sensor's motion.
 
     Readings come at ten times the cut-off; the ends of each stretch without a gap are left out, as
-    filters have nothing to hold on to there. Raises IdentificationError where nothing is left.
+    filters have nothing to hold on to there.
+
+    Args:
+        joint_stamp_ns: (n,), increasing.
+        joints: (n, d) of the arm, m and rad; rows that are not finite are left out.
+        wrench_stamp_ns: (m,), increasing, of the same clock.
+        wrenches: raw readings (m, 6), N and N.m; rows that are not finite are left out.
+        mounting: of sensor and joints; None: as they should be.
+        cutoff_hz: of the low-pass.
+        arm: whose joints they are.
+
+    Returns:
+        The motion, and wrenches in ft_sensor.
+
+    Raises:
+        IdentificationError: joint states come too slowly, or joints and wrenches never together for
+            long enough.
+
     """
     mounting = mounting or Mounting.of(arm)
     kept = np.isfinite(joints).all(axis=1)
@@ -218,7 +243,15 @@ def _is_other(file_distance: float) -> bool:
 
 
 def total_moments(tool: CalibrationFile) -> tuple[Array, Array]:
-    """(m, h) (4,) of tool and adapter, and their covariance (4, 4), kg and kg m."""
+    """Sum up the moments of tool and adapter.
+
+    Args:
+        tool: with both loads.
+
+    Returns:
+        (m, h) (4,) and their covariance (4, 4), kg and kg.m.
+
+    """
     total, covariance = np.zeros(4), np.zeros((4, 4))
     for part in (tool.load, tool.adapter):
         total += part.load.moments
@@ -227,10 +260,21 @@ def total_moments(tool: CalibrationFile) -> tuple[Array, Array]:
 
 
 def identify_inertia(record: MotionRecord, moments: Array, covariance: Array) -> InertiaFit:
-    """Identify the inertia, given (m, h) (4,) and their covariance (4, 4) from the file.
+    """Identify the inertia of all that hangs on the sensor.
 
-    Raises IdentificationError for a recording that is too short or touched all over, and
-    NotExcitedError, naming the components, where the motion doesn't tell them.
+    Args:
+        record: motion and wrenches.
+        moments: (m, h) (4,) of tool and adapter from the file, kg and kg.m.
+        covariance: of the moments, (4, 4).
+
+    Returns:
+        The inertia, and the comparison with the file's moments.
+
+    Raises:
+        NotExcitedError: naming the components that the motion doesn't identify.
+        IdentificationError: the recording is too short, touched all over or of another tool, or
+            holds no inertial forces.
+
     """
     block = np.floor((record.time_s - record.time_s[0]) / BLOCK_S).astype(int)
     count = len(np.unique(block))

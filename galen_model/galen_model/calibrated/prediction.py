@@ -44,7 +44,15 @@ class Prediction:
         self._to_wrench = None if tool.mounting is None else mounting.wrench_from_reading
 
     def reading(self, angles: Sequence[float]) -> Array:
-        """Return reading (6,) expected without contact at angles (k,), in the sensor's own axes."""
+        """Predict the reading of one pose without contact.
+
+        Args:
+            angles: reported, k of the turning joints, rad.
+
+        Returns:
+            (6,), N and N.m, in the sensor's own axes.
+
+        """
         parts = self._down
         for k, (turn, zero) in enumerate(self._turns):
             angle = angles[k] + zero
@@ -53,17 +61,33 @@ class Prediction:
         return reading
 
     def readings(self, angles: Array) -> Array:
-        """Return readings (n, 6) as `reading` gives them, for angles (n, k)."""
+        """Predict the readings of many poses as `reading` does.
+
+        Args:
+            angles: reported (n, k), rad.
+
+        Returns:
+            (n, 6), N and N.m, in the sensor's own axes.
+
+        """
         directions: Array = np.ones((len(angles), 4))
         self._write_directions(directions, angles)
         readings: Array = directions @ self._by_direction_and_one
         return readings
 
     def compensate(self, readings: Array, angles: Array) -> Array:
-        """Wrenches (n, 6) in ft_sensor of readings (n, 6) at angles (n, k), less the expected.
+        """Compute the wrenches that readings hold beside the expected ones.
 
         Block by block: what a block needs in between stays in the processor's cache, so that only
         readings, angles and wrenches go through memory. Sines and cosines take most of the time.
+
+        Args:
+            readings: raw (n, 6), N and N.m.
+            angles: reported (n, k), rad.
+
+        Returns:
+            Wrenches (n, 6) in ft_sensor, N and N.m.
+
         """
         out = np.empty_like(readings)
         directions = np.ones((min(_BLOCK, len(readings)), 4))
@@ -86,9 +110,25 @@ class Prediction:
             out[:, k] = parts[k]
 
     def wrench(self, difference: Array) -> Array:
-        """Wrench (6,) in ft_sensor, N and N.m, of a raw reading less the expected one (6,)."""
+        """Turn a difference of readings into a wrench, gains undone.
+
+        Args:
+            difference: raw reading less the expected one (6,), N and N.m.
+
+        Returns:
+            Wrench (6,) in ft_sensor, N and N.m.
+
+        """
         return difference if self._to_wrench is None else self._to_wrench @ difference
 
     def wrenches(self, differences: Array) -> Array:
-        """Wrenches (n, 6) as `wrench` gives them."""
+        """Turn differences of readings into wrenches as `wrench` does.
+
+        Args:
+            differences: (n, 6), N and N.m.
+
+        Returns:
+            Wrenches (n, 6) in ft_sensor, N and N.m.
+
+        """
         return differences if self._to_wrench is None else differences @ self._to_wrench.T

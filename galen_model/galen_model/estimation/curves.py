@@ -73,7 +73,15 @@ class BiasBasis:
         segment: np.ndarray,
         temperature_c: Array | None = None,
     ) -> None:
-        """Take times (n,), s, sweeps (n,), from 0 on, temperatures of all readings, held or not."""
+        """Lay knots among the times of all readings, held out or not.
+
+        Args:
+            shape: of the curves.
+            time_s: (n,).
+            segment: (n,) which sweep each is of, from 0 on.
+            temperature_c: (n,), or None.
+
+        """
         self.shape = shape
         self.segments = int(segment.max()) + 1
         times = [np.unique(time_s[segment == s]) for s in range(self.segments)]
@@ -110,7 +118,17 @@ class BiasBasis:
         return sum(min(order, len(knots)) for knots in self._knots) + further
 
     def rows(self, time_s: Array, segment: np.ndarray, temperature_c: Array | None = None) -> Array:
-        """B (n, width) at times (n,), s, of the sweeps `segment` (n,), and temperatures (n,)."""
+        """Compute B, which takes the curves' parameters to their values.
+
+        Args:
+            time_s: (n,).
+            segment: (n,) which sweep each is of, from 0 on.
+            temperature_c: (n,); None: the part that goes with the temperature is left at zero.
+
+        Returns:
+            B (n, width).
+
+        """
         rows = np.zeros((len(time_s), self.width))
         for number, (sweep, *gap) in enumerate(self.shape.steps, start=int(self._first[-1])):
             rows[:, number] = (segment == sweep) * np.interp(time_s, gap, [0.0, 1.0])
@@ -132,15 +150,24 @@ class BiasBasis:
         return rows
 
     def ends(self) -> Array:
-        """B (segments, width) at each sweep's last reading."""
+        """Compute B at each sweep's last reading.
+
+        Returns:
+            (segments, width).
+
+        """
         end_c = self._end_c if self._thermal else None
         return self.rows(np.array(self._end_s), np.arange(self.segments), end_c)
 
     def penalty(self) -> Array:
-        """Q (width, width).
+        """Compute Q.
 
         A step or a part that goes with the temperature is known to be within 1000 sigma, so that
         a fit to readings without either is no singular one.
+
+        Returns:
+            (width, width).
+
         """
         further = np.arange(self.width) >= self._first[-1]
         matrix = np.diag(np.where(further, 1e-6, 0.0))

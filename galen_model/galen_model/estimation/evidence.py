@@ -51,12 +51,28 @@ class Prior(NamedTuple):
 
     @classmethod
     def of_precision(cls, precision: Array) -> Prior:
-        """Make a prior from P (..., k, k)."""
+        """Make a prior from its precision.
+
+        Args:
+            precision: P (..., k, k), of full rank.
+
+        Returns:
+            The prior, with log|P| (...).
+
+        """
         return cls(precision, np.asarray(np.linalg.slogdet(precision)[1]))
 
     @classmethod
     def unit(cls, size: int) -> Prior:
-        """Make the prior of independent weights of about one."""
+        """Make the prior of independent weights of about one.
+
+        Args:
+            size: number of weights, k.
+
+        Returns:
+            P of identity (k, k).
+
+        """
         return cls(np.eye(size), np.zeros(()))
 
 
@@ -68,7 +84,19 @@ class Posterior(NamedTuple):
 
 
 def log_evidence(information: Information, prior: Prior) -> Array:
-    """Return log Z (...) of each set."""
+    """Compute log Z of each set.
+
+    Args:
+        information: sums over rows, leading axes (...), with log|S| + n log 2 pi in `rest`.
+        prior: of the k weights.
+
+    Returns:
+        Natural logarithms (...).
+
+    Raises:
+        numpy.linalg.LinAlgError: A + P is not positive definite.
+
+    """
     factor = np.linalg.cholesky(information.matrix + prior.precision)
     solved = np.linalg.solve(factor, information.right[..., None])[..., 0]
     log_det = 2.0 * np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
@@ -77,26 +105,62 @@ def log_evidence(information: Information, prior: Prior) -> Array:
 
 
 def posterior(information: Information, prior: Prior) -> Posterior:
-    """Return the weights of each set with their covariances."""
+    """Compute the weights of each set with their covariances.
+
+    Args:
+        information: sums over rows, leading axes (...).
+        prior: of the k weights.
+
+    Returns:
+        Weights (..., k) and covariances (..., k, k).
+
+    """
     covariance = np.asarray(np.linalg.inv(information.matrix + prior.precision))
     return Posterior((covariance @ information.right[..., None])[..., 0], covariance)
 
 
 def distance(values: Array, covariance: Array) -> Array:
-    """Return v^T C^-1 v (...) of values (..., k) with covariances (..., k, k)."""
+    """Compute v^T C^-1 v.
+
+    Args:
+        values: v (..., k).
+        covariance: C (..., k, k).
+
+    Returns:
+        Squared Mahalanobis distances (...).
+
+    """
     solved = np.linalg.solve(covariance, values[..., None])[..., 0]
     return np.asarray(np.sum(values * solved, axis=-1))
 
 
 def log_density(values: Array, covariance: Array) -> Array:
-    """Return the log of the normal density (...) of values (..., k) about zero."""
+    """Compute the log of the normal density about zero.
+
+    Args:
+        values: (..., k).
+        covariance: (..., k, k).
+
+    Returns:
+        Natural logarithms (...).
+
+    """
     log_det = np.linalg.slogdet(covariance)[1]
     size = values.shape[-1]
     return np.asarray(-0.5 * (distance(values, covariance) + log_det + size * LOG_2PI))
 
 
 def chance(values: Array, covariance: Array) -> float:
-    """Return the probability that noise of this covariance makes as much as values (k,)."""
+    """Compute the probability that noise of a covariance makes as much as some values.
+
+    Args:
+        values: (k,).
+        covariance: (k, k).
+
+    Returns:
+        Tail probability of chi-square with k degrees of freedom.
+
+    """
     return float(chi2_sf(distance(values, covariance), len(values)))
 
 
@@ -118,10 +182,20 @@ class Evidence:
 
 
 def factor(gram: Array) -> tuple[Array, bool]:
-    """Cholesky's factor of a gram matrix (p, p), for `cho_solve`.
+    """Compute Cholesky's factor of a gram matrix.
 
     Where columns are alike to rounding, each gets 1e-9 of itself more: they then share what they
     explain.
+
+    Args:
+        gram: (p, p), symmetric.
+
+    Returns:
+        SciPy's factor and whether it is the lower one, for `cho_solve`.
+
+    Raises:
+        numpy.linalg.LinAlgError: the matrix is not positive definite even so.
+
     """
     try:
         return cho_factor(gram)
@@ -133,7 +207,13 @@ class Background:
     """N with its prior: what is fitted beside every hypothesis, in blocks of columns."""
 
     def __init__(self, columns: Array, prior_std: Array) -> None:
-        """Of columns (N, n), prior_std (n,), infinite for none."""
+        """Take columns and their prior.
+
+        Args:
+            columns: N (N, n).
+            prior_std: (n,), infinite for none.
+
+        """
         self._base: Background | None = None
         self._set(columns, prior_std, columns.T @ columns)
 
@@ -159,7 +239,16 @@ class Background:
         return np.concatenate([self._base.columns, self._block], axis=1)
 
     def beside(self, more: Array | csc_array, prior_std: float = np.inf) -> Background:
-        """Add columns (N, m), without a prior or with one; what is remembered counts there, too."""
+        """Add columns; what is remembered counts there, too.
+
+        Args:
+            more: (N, m), dense or sparse.
+            prior_std: of each new unknown; infinite: without a prior.
+
+        Returns:
+            A background of n + m columns.
+
+        """
         return self._with(more, np.full(more.shape[1], prior_std))
 
     def _with(self, more: Array | csc_array, prior_std: Array) -> Background:
@@ -177,14 +266,30 @@ class Background:
         return extended
 
     def averaged(self, means: csc_array) -> Background:
-        """Return the background of rows M r (C,) for rows r (N,); means: M (C, N)."""
+        """Average the rows.
+
+        Args:
+            means: M (C, N), which takes rows r (N,) to M r (C,).
+
+        Returns:
+            The background of the rows M r.
+
+        """
         block = means @ self._block
         if self._base is None:
             return Background(block, self.prior_std)
         return self._base.averaged(means)._with(block, self.prior_std[len(self._base.prior_std) :])
 
     def dot(self, values: Array | csc_array) -> Array:
-        """Tell N^T v (n,) or (n, k) of values (N,) or (N, k)."""
+        """Compute N^T v.
+
+        Args:
+            values: v (N,) or (N, k), dense or sparse.
+
+        Returns:
+            (n,) or (n, k).
+
+        """
         if self._remembered is not None and self._remembered[0] is values:
             return self._remembered[1]
         if isinstance(values, np.ndarray):
@@ -195,50 +300,128 @@ class Background:
         return own if self._base is None else np.concatenate([self._base.dot(values), own])
 
     def times(self, nu: Array) -> Array:
-        """Tell N nu (N,) or (N, k) of nu (n,) or (n, k)."""
+        """Compute N nu.
+
+        Args:
+            nu: (n,) or (n, k).
+
+        Returns:
+            (N,) or (N, k).
+
+        """
         if self._base is None:
             return np.asarray(self._block @ nu)
         first = len(self._base.prior_std)
         return np.asarray(self._base.times(nu[:first]) + self._block @ nu[first:])
 
     def remember(self, values: Array) -> None:
-        """Keep the product with values (N, k), this very array, that will be asked for often."""
+        """Keep the product with an array that will be asked for often.
+
+        Args:
+            values: (N, k); `dot` recognises this very array.
+
+        """
         self._remembered = values, self.dot(values)
 
     def solve(self, projections: Array) -> Array:
-        """(N^T N + prior)^-1 of N^T times something, (n, ...)."""
+        """Apply (N^T N + prior)^-1.
+
+        Args:
+            projections: N^T times something, (n, ...).
+
+        Returns:
+            (n, ...).
+
+        """
         return np.asarray(cho_solve(self._factor, projections))
 
     def fit(self, rows: Array) -> Array:
-        """Fit nu (n,) of rows (N,), or (n, k) of (N, k)."""
+        """Fit nu to rows, under the prior.
+
+        Args:
+            rows: (N,) or (N, k).
+
+        Returns:
+            nu (n,) or (n, k).
+
+        """
         return self.solve(self.dot(rows))
 
     def left(self, rows: Array) -> Array:
-        """Return rows (N,) or (N, k) less what is fitted to them."""
+        """Subtract what is fitted to rows.
+
+        Args:
+            rows: (N,) or (N, k).
+
+        Returns:
+            Residuals (N,) or (N, k).
+
+        """
         return np.asarray(rows - self.times(self.fit(rows)))
 
     def penalty(self, nu: Array) -> float:
-        """Return what the prior adds to the sum of squares."""
+        """Compute what the prior adds to the sum of squares.
+
+        Args:
+            nu: (n,).
+
+        Returns:
+            Sum of (nu / prior_std)^2.
+
+        """
         return float(self.precision @ nu**2)
 
     def sum_of_squares(self, rows: Array) -> float:
-        """Tell r^T P r with the prior's share: of rows (N,), which may not be changed later."""
+        """Compute r^T P r, the prior's share with it.
+
+        Args:
+            rows: r (N,), which may not be changed later.
+
+        Returns:
+            Sum of squares, of whitened rows.
+
+        """
         projected = self.along(rows)
         return float(rows @ rows - projected @ self.solve(projected))
 
     def projected(self, columns: Array) -> Projected:
-        """Return what does not depend on the rows of columns (N, p) beside this background."""
+        """Compute what does not depend on the rows of columns beside this background.
+
+        Args:
+            columns: T (N, p).
+
+        Returns:
+            G = T^T P T and what `Projected.along` needs.
+
+        """
         cross = self.dot(columns)
         back = self.solve(cross)
         return Projected(self, columns, back, columns.T @ columns - cross.T @ back)
 
     def reduced(self, columns: Array, rows: Array) -> tuple[Array, Array]:
-        """G = T^T P T (p, p) and b = T^T P r (p,); rows (N,) may not be changed later."""
+        """Compute G = T^T P T and b = T^T P r.
+
+        Args:
+            columns: T (N, p).
+            rows: r (N,), which may not be changed later.
+
+        Returns:
+            G (p, p) and b (p,).
+
+        """
         projected = self.projected(columns)
         return projected.gram, projected.along(rows)
 
     def along(self, rows: Array) -> Array:
-        """Tell N^T r (n,), kept for the next call; rows (N,) may not be changed later."""
+        """Compute N^T r, and keep it for the next call with the same array.
+
+        Args:
+            rows: r (N,), which may not be changed later.
+
+        Returns:
+            (n,).
+
+        """
         if self._asked is None or self._asked[0] is not rows:
             self._asked = rows, self.dot(rows)
         return self._asked[1]
@@ -253,19 +436,46 @@ class Projected(NamedTuple):
     gram: Array
 
     def along(self, rows: Array) -> Array:
-        """Return b = T^T P r (p,); rows (N,) may not be changed later."""
+        """Compute b = T^T P r.
+
+        Args:
+            rows: r (N,), which may not be changed later.
+
+        Returns:
+            b (p,).
+
+        """
         return np.asarray(self.columns.T @ rows - self.back.T @ self.behind.along(rows))
 
 
 def evidence(gram: Array, projection: Array, typical: Array) -> Evidence:
-    """Of columns with G (p, p), b (p,) and typical sizes (p,)."""
+    """Compute what columns are worth.
+
+    Args:
+        gram: G (p, p).
+        projection: b (p,).
+        typical: usual sizes (p,) of their numbers theta, in theta's units.
+
+    Returns:
+        Evidence, averaged over SCALES.
+
+    """
     return evidences(gram[None], projection[None], typical)[0]
 
 
 def evidences(grams: Array, projections: Array, typical: Array) -> list[Evidence]:
-    """Of m sets of columns with G (m, p, p) and b (m, p), all with the same typical sizes (p,).
+    """Compute what m sets of columns are worth, each by itself.
 
     In the axes in which L^1/2 G L^1/2 is diagonal, d, every scale is a sum over axes.
+
+    Args:
+        grams: G (m, p, p).
+        projections: b (m, p).
+        typical: usual sizes (p,) of the numbers theta of every set, in theta's units.
+
+    Returns:
+        Evidence of each set, averaged over SCALES.
+
     """
     size, vectors = np.linalg.eigh(grams * np.outer(typical, typical))
     size = np.maximum(size, 0.0)

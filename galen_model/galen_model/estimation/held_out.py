@@ -61,13 +61,24 @@ def block_gain(better_by: ArrayLike) -> BlockGain:
     Args:
         better_by: (blocks,) at least two, by how much the model is better on each.
 
+    Returns:
+        Mean and standard error, in the scores' unit.
+
     """
     gains = np.asarray(better_by, dtype=float)
     return BlockGain(float(gains.mean()), float(gains.std(ddof=1) / np.sqrt(len(gains))))
 
 
 def is_clear_gain(gains: Array) -> bool:
-    """Whether gains (blocks,) in log density of the best of several models are beyond chance."""
+    """Check whether the gains of the best of several models are beyond chance.
+
+    Args:
+        gains: (blocks,) in log density; those that are not finite don't count.
+
+    Returns:
+        False also where fewer than FEWEST_BLOCKS count.
+
+    """
     gains = gains[np.isfinite(gains)]
     if len(gains) < FEWEST_BLOCKS:
         return False
@@ -77,13 +88,31 @@ def is_clear_gain(gains: Array) -> bool:
 
 
 def is_clear_loss(gains: Array) -> bool:
-    """Whether gains (blocks,) in log density are losses beyond chance."""
+    """Check whether gains are losses beyond chance.
+
+    Args:
+        gains: (blocks,) in log density; those that are not finite don't count.
+
+    Returns:
+        False also where fewer than FEWEST_BLOCKS count.
+
+    """
     gains = gains[np.isfinite(gains)]
     return len(gains) >= FEWEST_BLOCKS and block_gain(gains).clear_loss
 
 
 def time_blocks(time_s: Array, segment: np.ndarray, blocks: int) -> np.ndarray:
-    """Labels (n,) of `blocks` runs of readings that follow each other, none across two sweeps."""
+    """Label blocks of readings that follow each other, none across two sweeps.
+
+    Args:
+        time_s: (n,), or any number that orders the readings of a sweep.
+        segment: (n,) which sweep each is of, from 0 on.
+        blocks: wanted number over all sweeps; each sweep has its share, at least one.
+
+    Returns:
+        Labels (n,), from 0 on.
+
+    """
     order = np.lexsort((time_s, segment))
     labels = np.empty(len(time_s), dtype=int)
     first = 0
@@ -137,7 +166,17 @@ def held_out(
 
 
 def block_means(density: Array, used: np.ndarray, groups: np.ndarray) -> Array:
-    """Mean log density (blocks, c) of each block's readings that are used."""
+    """Average the log density over each block's used readings.
+
+    Args:
+        density: (n, c), natural logarithms, as `held_out` returns them.
+        used: mask (n,).
+        groups: (n,) labels of blocks; those below zero don't count.
+
+    Returns:
+        Means (blocks, c), by ascending label of the blocks with a used reading.
+
+    """
     return np.array(
         [
             np.mean(density[used & (groups == label)], axis=0)

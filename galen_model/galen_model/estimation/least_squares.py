@@ -31,6 +31,10 @@ def least_squares(design: Array, readings: Array, std: ArrayLike = 1.0) -> Least
         readings: (n, c).
         std: of the readings, any shape that broadcasts to (n, c).
 
+    Returns:
+        x (p,), its covariance (p, p), zero along what is not identified, and residuals (n, c) in
+        the readings' units.
+
     """
     scale = 1.0 / np.broadcast_to(np.asarray(std, dtype=float), readings.shape)
     rows = (design * scale[:, :, None]).reshape(-1, design.shape[2])
@@ -54,7 +58,15 @@ class Information(NamedTuple):
 
     @classmethod
     def of_blocks(cls, blocks: Iterable[tuple[Array, Array]]) -> Information:
-        """Sum up blocks of whitened columns (r, k) and readings (r,), each by itself."""
+        """Sum up the rows of each block by itself.
+
+        Args:
+            blocks: of each, whitened columns (r, k) and whitened readings (r,); at least one block.
+
+        Returns:
+            Sums with the leading axis (blocks,); `rest` is y^T y alone.
+
+        """
         # not by BLAS: its threads, woken for so little, wait for a busy machine's cores
         parts = [
             (np.einsum("rp,rq->pq", x, x), np.einsum("rp,r->p", x, y), y @ y) for x, y in blocks
@@ -62,17 +74,35 @@ class Information(NamedTuple):
         return cls(*(np.array(column) for column in zip(*parts, strict=True)))
 
     def part(self, places: Any) -> Information:
-        """Return some of the sets, by an index of the leading axes."""
+        """Select some of the sets.
+
+        Args:
+            places: index of the leading axes, as of numpy.
+
+        Returns:
+            Those sets.
+
+        """
         return Information(*(field[places] for field in self))
 
     def total(self) -> Information:
-        """Sum over the last of the leading axes: the blocks together."""
+        """Sum over the last of the leading axes: the blocks together.
+
+        Returns:
+            Sums without that axis.
+
+        """
         return Information(
             self.matrix.sum(axis=-3), self.right.sum(axis=-2), self.rest.sum(axis=-1)
         )
 
     def without_each(self) -> Information:
-        """Leave out each block in turn, along the last of the leading axes."""
+        """Leave out each block in turn, along the last of the leading axes.
+
+        Returns:
+            Sums of the other blocks, in the same shape.
+
+        """
         whole = self.total()
         return Information(
             whole.matrix[..., None, :, :] - self.matrix,
@@ -81,12 +111,28 @@ class Information(NamedTuple):
         )
 
     def combined(self, combination: Array) -> Information:
-        """Return those of other columns, combinations (k, q) of these."""
+        """Change to other columns.
+
+        Args:
+            combination: (k, q); the new columns are combinations of these.
+
+        Returns:
+            Sums of the q columns.
+
+        """
         return Information(
             combination.T @ self.matrix @ combination, self.right @ combination, self.rest
         )
 
     def cost(self, weights: Array) -> Array:
-        """Return sums (...) of squared residuals, (y - X w)^T S^-1 (y - X w), of weights (k,)."""
+        """Compute sums of squared residuals, (y - X w)^T S^-1 (y - X w).
+
+        Args:
+            weights: w (k,), the same of all sets.
+
+        Returns:
+            Sums (...) of each set.
+
+        """
         fitted = np.einsum("...pq,p,q->...", self.matrix, weights, weights)
         return np.asarray(self.rest - 2.0 * self.right @ weights + fitted)

@@ -70,7 +70,15 @@ class Known:
         return self.rows / self.std[:, None]
 
     def beside(self, more: int) -> Known:
-        """Return the same knowledge where x has `more` further parameters."""
+        """Add further parameters to x, of which nothing is known beforehand.
+
+        Args:
+            more: how many, after those of `rows`.
+
+        Returns:
+            The same knowledge with rows (k, p + more).
+
+        """
         return replace(self, rows=np.pad(self.rows, ((0, 0), (0, more))))
 
 
@@ -105,7 +113,16 @@ class Problem:
 
     @classmethod
     def untimed(cls, design: Array, readings: Array) -> Problem:
-        """Return the problem of readings of one sweep whose biases are constant."""
+        """Make the problem of readings of one sweep whose biases are constant.
+
+        Args:
+            design: (n, 6, p), without the biases.
+            readings: (n, 6).
+
+        Returns:
+            The problem, the readings at 0, 1, ... s.
+
+        """
         return cls(design, readings, np.arange(float(len(design))), np.zeros(len(design), int))
 
     def __len__(self) -> int:
@@ -113,7 +130,15 @@ class Problem:
         return len(self.readings)
 
     def under(self, shapes: Shapes) -> Problem:
-        """Return the same readings with biases of other shapes."""
+        """Change the shapes of the biases.
+
+        Args:
+            shapes: (c,) of the channels.
+
+        Returns:
+            The problem of the same readings.
+
+        """
         return replace(self, shapes=shapes)
 
     @cached_property
@@ -122,7 +147,15 @@ class Problem:
         return np.ascontiguousarray(self.design.transpose(1, 0, 2))
 
     def basis(self, shape: BiasShape) -> tuple[BiasBasis, Array, Array]:
-        """Return the curves of a shape, B (n, width) at the readings, and Q (width, width)."""
+        """Compute the curves of a shape; they are kept for the next call.
+
+        Args:
+            shape: of a channel's bias.
+
+        Returns:
+            The curves, B (n, width) at the readings, and Q (width, width), which holds the zeroing.
+
+        """
         if shape not in self._bases:
             basis = BiasBasis(shape, self.time_s, self.segment, self.temperature_c)
             rows = basis.rows(self.time_s, self.segment, self.temperature_c)
@@ -134,11 +167,30 @@ class Problem:
         return self._bases[shape]
 
     def solve(self, weights: np.ndarray) -> Equations:
-        """Return the normal equations for weights (n,), or a mask, of the readings."""
+        """Make the normal equations for given weights of the readings.
+
+        Args:
+            weights: (n,), 0 to 1, or a mask.
+
+        Returns:
+            The equations.
+
+        Raises:
+            IdentificationError: the weights leave a curve of a sweep open.
+
+        """
         return Equations(self, np.asarray(weights, dtype=float))
 
     def robust(self) -> Fit:
-        """Fit the readings that agree; raises IdentificationError where too few do."""
+        """Fit the readings that agree; all where they are too few to reject any.
+
+        Returns:
+            The fit.
+
+        Raises:
+            IdentificationError: too few readings agree, or they leave a parameter open.
+
+        """
         used = np.ones(len(self), dtype=bool)
         if self.readings.size <= self._unknowns:
             raise IdentificationError(
@@ -149,12 +201,15 @@ class Problem:
         return self.fit(used)
 
     def fit(self, used: np.ndarray, *, equal: bool = False) -> Fit:
-        """Fit the readings `used` (n,).
+        """Fit some of the readings.
 
         Args:
             used: mask (n,).
             equal: all channels weigh alike, as in plain least squares, whatever their noise; the
                 covariance holds it all the same.
+
+        Returns:
+            Values and covariance, with residuals and distances of all readings.
 
         Raises:
             IdentificationError: where they leave a parameter open.
@@ -205,7 +260,10 @@ class Problem:
         return max(self.basis(shape)[0].free for shape in set(self.shapes))
 
     def agreeing(self) -> np.ndarray:
-        """Return the mask (n,) of the readings that agree on one x: bisquare, then a limit.
+        """Find the readings that agree on one x: bisquare, then a limit.
+
+        Returns:
+            Mask (n,).
 
         Raises:
             IdentificationError: where too few agree.
@@ -289,7 +347,17 @@ class Fit:
     def bias_at(
         self, time_s: Array, segment: np.ndarray, temperature_c: Array | None = None
     ) -> Array:
-        """Return the biases (m, c) at other times (m,), s, of the sweeps `segment` (m,)."""
+        """Compute the biases at other times.
+
+        Args:
+            time_s: (m,), on the clock of the fitted readings.
+            segment: (m,) which sweep each is of.
+            temperature_c: (m,); None: the part that goes with the temperature is left at zero.
+
+        Returns:
+            Biases (m, c), in the readings' units.
+
+        """
         return np.column_stack(
             [basis.rows(time_s, segment, temperature_c) @ curve for basis, curve in self.curves]
         )
@@ -355,7 +423,18 @@ class Equations:
         return _Eliminated(channels, basis, rows, penalty, inverse, by_design, by_readings, free)
 
     def values(self, sigma: Array) -> tuple[Array, Array]:
-        """Return x (p,) and its covariance (p, p) under the channels' noise sigma (c,)."""
+        """Solve for x under given noise of the channels.
+
+        Args:
+            sigma: (c,), in the channels' units.
+
+        Returns:
+            x (p,) and its covariance (p, p).
+
+        Raises:
+            IdentificationError: the weighted readings leave a parameter open.
+
+        """
         information = np.einsum("kij,k->ij", self.information, 1.0 / sigma**2)
         right = self.right.T @ (1.0 / sigma**2)
         known = self.problem.known
@@ -366,9 +445,18 @@ class Equations:
         return covariance @ right, covariance
 
     def settle(self, tolerance: float = 1e-9, sigma: Array | None = None) -> Settled:
-        """Return x, its covariance, and each channel's noise and freedom, found together.
+        """Find x, its covariance, and each channel's noise and freedom together.
 
-        sigma: (c,) where to begin; None: the readings' scatter.
+        Args:
+            tolerance: largest relative change of sigma in the last step.
+            sigma: (c,) where to begin; None: the readings' scatter.
+
+        Returns:
+            What was found, also where it has not settled after the most steps.
+
+        Raises:
+            IdentificationError: the weighted readings leave a parameter open.
+
         """
         readings = self.problem.readings
         if sigma is None:
@@ -383,7 +471,17 @@ class Equations:
         return Settled(*self.values(sigma), sigma, freedom)
 
     def noise(self, values: Array, covariance: Array, sigma: Array) -> tuple[Array, Array]:
-        """Return the channels' noise and freedom, each (c,), of x with its covariance."""
+        """Compute the channels' noise and freedom at given x.
+
+        Args:
+            values: x (p,).
+            covariance: of x, (p, p).
+            sigma: (c,) noise that the covariance was computed with.
+
+        Returns:
+            Noise (c,), in the channels' units, and degrees of freedom (c,).
+
+        """
         squares = self.weights @ self.residuals(values) ** 2
         free = np.empty(len(squares))
         for part in self._eliminated:
@@ -400,7 +498,15 @@ class Equations:
         return np.asarray(part.by_readings - part.by_design @ values)
 
     def curves(self, values: Array) -> Iterator[tuple[BiasBasis, Array]]:
-        """Yield of each channel the basis and beta (width,)."""
+        """Compute the channels' curves at given x.
+
+        Args:
+            values: x (p,).
+
+        Returns:
+            An iterator over the channels, of each the basis and beta (width,).
+
+        """
         found = {
             channel: (part.basis, curve)
             for part in self._eliminated
@@ -409,18 +515,43 @@ class Equations:
         return (found[channel] for channel in range(len(found)))
 
     def bias(self, values: Array) -> Array:
-        """Return the curves (n, c) at the readings."""
+        """Compute the curves at the readings.
+
+        Args:
+            values: x (p,).
+
+        Returns:
+            Biases (n, c), in the readings' units.
+
+        """
         bias = np.empty(self.problem.readings.shape)
         for part in self._eliminated:
             bias[:, part.channels] = part.rows @ self._curve(part, values).T
         return bias
 
     def residuals(self, values: Array) -> Array:
-        """Return readings (n, c) less what x (p,) and the curves give."""
+        """Subtract from the readings what x and the curves give.
+
+        Args:
+            values: x (p,).
+
+        Returns:
+            Residuals (n, c), in the readings' units.
+
+        """
         return self.problem.readings - self.problem.design @ values - self.bias(values)
 
     def leverage(self, covariance: Array, sigma: Array) -> Array:
-        """Return the variance (n, c) of what is fitted to a reading, in units of sigma squared."""
+        """Compute the variance of what is fitted to a reading, in units of sigma squared.
+
+        Args:
+            covariance: of x, (p, p).
+            sigma: (c,) noise of the channels.
+
+        Returns:
+            h (n, c), of a reading of weight one.
+
+        """
         leverage = np.empty(self.problem.readings.shape)
         for part in self._eliminated:
             of_x = np.sum((part.free @ covariance) * part.free, axis=2).T
@@ -430,18 +561,44 @@ class Equations:
         return leverage
 
     def studentised(self, residuals: Array, covariance: Array, sigma: Array) -> Array:
-        """Residuals (n, c) over the root of 1 - h; of a reading without weight, of 1 + h."""
+        """Divide residuals by the root of 1 - h; of a reading without weight, of 1 + h.
+
+        Args:
+            residuals: (n, c).
+            covariance: of x, (p, p).
+            sigma: (c,) noise of the channels.
+
+        Returns:
+            Residuals (n, c), still in the readings' units.
+
+        """
         own, weights = self.leverage(covariance, sigma), self.weights[:, None]
         variance = np.where(weights > 0.0, 1.0 - own * weights, 1.0 + own)
         return residuals / np.sqrt(np.maximum(variance, 1e-3))
 
     def distance(self, found: Settled) -> Array:
-        """Return how far off (n,) each reading is, over its channels, in standard deviations."""
+        """Compute how far off each reading is, over its channels, in standard deviations.
+
+        Args:
+            found: x with its covariance and the channels' noise.
+
+        Returns:
+            Distances (n,): root of the sum of squares of the studentised residuals over sigma.
+
+        """
         residuals = self.residuals(found.values)
         return _norm(self.studentised(residuals, found.covariance, found.sigma) / found.sigma)
 
     def with_ends(self, found: Settled) -> tuple[Array, Array]:
-        """Values and covariance of x and of each sweep's biases at its end, sweep by sweep."""
+        """Append each sweep's biases at its last reading to x.
+
+        Args:
+            found: x with its covariance and the channels' noise.
+
+        Returns:
+            Values (p + c segments,), x and then the biases sweep by sweep, and their covariance.
+
+        """
         channels, parameters = self.right.shape
         segments = self._eliminated[0].basis.segments
         # e = const - (E M^-1 B'X) x + E (beta's own error)
@@ -466,13 +623,16 @@ class Equations:
 def gauss_newton(
     solve: Callable[[Array], _Estimate], values: Array, largest: Array, steps: int
 ) -> _Estimate:
-    """Return the estimate at which a problem that is linear near x agrees with itself.
+    """Find the estimate at which a problem that is linear near x agrees with itself.
 
     Args:
         solve: the estimate from the problem made linear at x (p,).
         values: (p,) where to begin.
         largest: (p,) sizes beyond which the problem is not linear any more.
         steps: as many are tried.
+
+    Returns:
+        The last estimate; its first p values are x.
 
     Raises:
         IdentificationError: where it does not settle.

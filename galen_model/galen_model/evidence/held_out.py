@@ -95,7 +95,15 @@ class BlockRows:
         return len(self.residual)
 
     def finer(self, parts: int) -> BlockRows:
-        """Cut every block into parts of about equal length, in the order of rows."""
+        """Cut every block into parts of about equal length, in the order of rows.
+
+        Args:
+            parts: of each block, at most as many as it has rows.
+
+        Returns:
+            The same readings in more blocks.
+
+        """
         block = np.zeros(len(self), dtype=int)
         labels: list[str] = []
         for number, label in enumerate(self.labels):
@@ -118,7 +126,16 @@ class NoiseForm:
     memory_s: float = float("inf")
 
     def covariance(self, rows: BlockRows, at_s: Array) -> Array:
-        """(m, m) of readings at times at_s (m,) of one block."""
+        """Compute the covariance of a channel's readings in one block.
+
+        Args:
+            rows: whose floor the noise is of: its correlation and memory.
+            at_s: times (m,) of the block's readings.
+
+        Returns:
+            (m, m), in units of the channel's floor squared.
+
+        """
         apart = np.abs(at_s[:, None] - at_s[None, :])
         floor = rows.alike * np.exp(-apart / rows.memory_s) + (1.0 - rows.alike) * np.eye(len(at_s))
         lacking = np.exp(-apart / self.memory_s) if np.isfinite(self.memory_s) else 1.0
@@ -131,7 +148,15 @@ _SIZES = (0.7, 2.0, 6.0, 18.0, 50.0, 150.0)
 
 
 def noise_forms(rows: BlockRows) -> tuple[NoiseForm, ...]:
-    """Noise alone at its levels first, then what something that is missing may be like."""
+    """List the forms of noise that are tried.
+
+    Args:
+        rows: with the levels of noise and the memories to try.
+
+    Returns:
+        Noise alone at its levels first, then what something that is missing may be like.
+
+    """
     more = [NoiseForm(1.0, size, memory) for memory in rows.memories_s for size in _SIZES]
     return (*map(NoiseForm, rows.levels), *more)
 
@@ -242,7 +267,15 @@ class BlockEvidence:
         return [inverse @ columns[where] for inverse, where in pairs]
 
     def information(self, ways: Sequence[Columns]) -> _ByChannel:
-        """Of the nominal columns and those of `ways`, by channel, form and block."""
+        """Sum over the rows of the nominal columns and those of `ways`.
+
+        Args:
+            ways: one way of each effect.
+
+        Returns:
+            Sums by channel, form and block.
+
+        """
         first = self.nominal.size
         values = [way.values / self.rows.floor[None, :, None] for way in ways]
         more = np.concatenate([np.zeros((*self.residual.shape, 0)), *values], axis=2)
@@ -269,7 +302,15 @@ class BlockEvidence:
         self._last.clear()
 
     def shows(self, way: Columns) -> float:
-        """How many sigma of noise the usual size of this effect is away from all nominal ones."""
+        """Compute how far the usual size of an effect is away from all nominal ones.
+
+        Args:
+            way: a way in which the effect shows.
+
+        Returns:
+            Distance in sigma of the noise, along the direction that shows most.
+
+        """
         forms = np.full(len(self.rows.channels), _NOISE_AS_IT_IS)
         information = self.information((way,)).chosen(forms).total().matrix
         size = self.nominal.size
@@ -309,9 +350,17 @@ class BlockEvidence:
     def hypothesis(
         self, effects: tuple[str, ...], sets: Sequence[tuple[Columns, ...]], floor_only: bool
     ) -> BlockHypothesis | None:
-        """Fit a hypothesis that holds in one of `sets` of ways.
+        """Fit a hypothesis that holds in one of several sets of ways.
 
-        None where no weights are allowed, or noise was not to be alone, and is.
+        Args:
+            effects: names of its effects.
+            sets: alternatives, each with one way of every effect, in the order of `effects`.
+            floor_only: noise alone is what the effects leave; otherwise something unknown as well.
+
+        Returns:
+            The fitted hypothesis; None where no set has weights that are allowed, or where, without
+            `floor_only`, noise alone is found all the same.
+
         """
         found = []
         for ways in sets:
@@ -361,7 +410,15 @@ class BlockEvidence:
         return True
 
     def held_out(self, hypothesis: BlockHypothesis) -> Array:
-        """Residuals (n, C) in floor units, each block by the fit to the others."""
+        """Compute residuals, each block by the fit to the others.
+
+        Args:
+            hypothesis: fitted on these rows.
+
+        Returns:
+            Residuals (n, C), in floor units.
+
+        """
         left = self.residual.copy()
         for (ways, weights), where in zip(hypothesis.folds, self._where, strict=True):
             left[where] -= self._predicted(ways, weights, where)

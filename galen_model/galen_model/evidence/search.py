@@ -64,7 +64,17 @@ def search(
     effects: Effects,
     progress: Progress | None = None,
 ) -> SearchResult:
-    """Try hypotheses and weigh them."""
+    """Try hypotheses and weigh them.
+
+    Args:
+        evidence: the rows, with their nominal columns.
+        effects: what may be there.
+        progress: called with the names of the effects that are tried next; None: not called.
+
+    Returns:
+        All hypotheses tried, their probabilities and the best one.
+
+    """
     work = _Search(evidence, effects, progress or (lambda text: None))
     work.try_sets((), [()])
     for name, ways in effects.of.items():

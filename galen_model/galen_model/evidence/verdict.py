@@ -76,7 +76,15 @@ class Message(NamedTuple):
     remedy: str
 
     def text(self, details: str = "") -> str:
-        """As one clause, with numbers after what it is."""
+        """Write the message as one clause, with numbers after what it is.
+
+        Args:
+            details: the numbers, in words; empty: none.
+
+        Returns:
+            Cause and remedy.
+
+        """
         what = f"{self.what}, {details}" if details else self.what
         return f"{what}; {self.remedy}"
 
@@ -138,18 +146,42 @@ class Limits:
         return np.repeat([self.force_n, self.torque_nm], 3)
 
     def size(self, values: Array) -> float:
-        """Return the largest of `values` (6,), N and N.m, in units of its limit."""
+        """Compute the largest value in units of its limit.
+
+        Args:
+            values: wrench (6,), N and N.m.
+
+        Returns:
+            At most 1 where all are within their limits.
+
+        """
         return float(np.max(np.abs(values) / self.axes))
 
     def worst(self, values: Array) -> str:
-        """Return the value (6,) that is largest in units of its limit, in words."""
+        """Write the value that is largest in units of its limit, in words.
+
+        Args:
+            values: wrench (6,), N and N.m.
+
+        Returns:
+            Value with its unit, N or mN.m, and its axis.
+
+        """
         axis = int(np.argmax(np.abs(values) / self.axes))
         value = f"{values[axis]:.3f} N" if axis < 3 else f"{1e3 * values[axis]:.2f} mN.m"
         return f"{value} in {WRENCH_AXES[axis]}"
 
 
 def wrench_text(wrench: Array) -> str:
-    """Return a wrench (6,), N and N.m, in words."""
+    """Write a wrench in words.
+
+    Args:
+        wrench: (6,), N and N.m.
+
+    Returns:
+        Forces in N and torques in mN.m.
+
+    """
     force = ", ".join(f"{round(value, 3) + 0.0:+.3f}" for value in wrench[:3])
     torque = ", ".join(f"{round(1e3 * value, 1) + 0.0:+.1f}" for value in wrench[3:])
     return f"({force}) N and ({torque}) mN.m"
@@ -161,7 +193,18 @@ def load_text(
     centre_m: Array | None = None,
     centre_std_m: Array | None = None,
 ) -> str:
-    """Return by how much a load's mass and centre (3,) differ, in words."""
+    """Write by how much a load's mass and centre differ, in words.
+
+    Args:
+        mass_kg: difference of the masses.
+        mass_std_kg: its standard deviation.
+        centre_m: difference of the centres (3,); None: left out.
+        centre_std_m: its standard deviations (3,); None: left out.
+
+    Returns:
+        A clause in g and mm.
+
+    """
     text = f"by {1e3 * mass_kg:+.1f} +- {1e3 * mass_std_kg:.1f} g"
     if centre_m is None:
         return text

@@ -33,9 +33,15 @@ _LEFT_AFTER_S = 600.0
 
 
 def write_whole(path: Path, content: str | bytes) -> None:
-    """Write a file in one step; makes its folder, keeps the old file as `.bak`. Text is UTF-8.
+    """Write a file in one step; makes its folder, keeps the old file as `.bak`.
 
-    Raises OSError; the old file is then untouched.
+    Args:
+        path: file to write.
+        content: all of it; text is written as UTF-8.
+
+    Raises:
+        OSError: it can't be written; the old file is then untouched.
+
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = _write_beside(path, content)
@@ -50,9 +56,16 @@ def write_whole(path: Path, content: str | bytes) -> None:
 
 
 def write_new(path: Path, content: str | bytes) -> None:
-    """Write a file in one step, where there is none; FileExistsError where there is. UTF-8.
+    """Write a file in one step, where there is none.
 
-    Raises OSError; nothing is then written.
+    Args:
+        path: file to write, in a folder that is there.
+        content: all of it; text is written as UTF-8.
+
+    Raises:
+        FileExistsError: the name is taken; nothing is then written.
+        OSError: it can't be written.
+
     """
     temporary = _write_beside(path, content)
     try:
@@ -64,9 +77,18 @@ def write_new(path: Path, content: str | bytes) -> None:
 
 
 def rename_to_free(path: Path, free: Path) -> None:
-    """Rename a file within its directory; FileExistsError where the name is taken.
+    """Rename a file within its directory to a free name.
 
     `os.rename` would overwrite; a hard link doesn't, so the file has both names for a moment.
+
+    Args:
+        path: file to rename.
+        free: its new name.
+
+    Raises:
+        FileExistsError: the new name is taken.
+        OSError: it can't be renamed, or was replaced meanwhile (EBUSY).
+
     """
     try:
         os.link(path, free, follow_symlinks=False)
@@ -89,7 +111,15 @@ def unlink_if(path: Path, is_it: Callable[[Path], bool]) -> None:
     """Remove a file if it still is what it was, which is asked when no other can be put there.
 
     It is renamed first, in one step; one that is something else gets its name back, unless there is
-    yet another by then: OSError (EBUSY).
+    yet another by then.
+
+    Args:
+        path: file to remove.
+        is_it: called with the file's name aside; whether it is the one to remove.
+
+    Raises:
+        OSError: it can't be removed, or is something else (EBUSY).
+
     """
     aside = path.with_name(f".{path.name}.aside.{os.getpid()}")
     path.rename(aside)
@@ -109,9 +139,17 @@ def exchange(path: Path, other: Path, spare: Path) -> None:
     """Have two files of a directory swap their names; at every moment `path` is a whole file.
 
     A process killed in between leaves what `path` had under both names, and what `other` had as
-    `spare`, which must be a free name (FileExistsError).
+    `spare`.
 
-    Raises OSError; both then have their names.
+    Args:
+        path: a file.
+        other: the other one.
+        spare: a free name in the same directory.
+
+    Raises:
+        FileExistsError: the spare name is taken.
+        OSError: they can't be swapped; both then have their names.
+
     """
     _second_name(other, spare)
     try:
@@ -190,7 +228,15 @@ def _second_name(path: Path, free: Path) -> None:
 
 
 def sync_directory(directory: Path) -> None:
-    """Have the directory's names on the disk, so that they outlast a loss of power."""
+    """Have the directory's names on the disk, so that they outlast a loss of power.
+
+    Args:
+        directory: whose entries changed.
+
+    Raises:
+        OSError: it can't be opened.
+
+    """
     handle = os.open(directory, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -204,9 +250,18 @@ _DPI = 110
 
 
 def save_figure(figure: Figure, path: Path) -> Path:
-    """Write a PNG in one step, making its folder, and close the figure; returns the path.
+    """Write a PNG in one step, making its folder, and close the figure.
 
-    Raises OSError; an old picture is then untouched.
+    Args:
+        figure: of pyplot.
+        path: file to write.
+
+    Returns:
+        The path.
+
+    Raises:
+        OSError: it can't be written; an old picture is then untouched.
+
     """
     from matplotlib import pyplot as plt  # slow to import, and there already where a figure is
 

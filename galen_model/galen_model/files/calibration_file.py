@@ -67,7 +67,15 @@ class ArmIdentity:
 
 
 def identity(arm: Arm) -> ArmIdentity:
-    """Return what a calibration file keeps of an arm."""
+    """Collect what a calibration file keeps of an arm.
+
+    Args:
+        arm: of the calibration.
+
+    Returns:
+        Name, joints and checksum.
+
+    """
     return ArmIdentity(arm.name, arm.joint_names, arm.urdf_sha256)
 
 
@@ -80,7 +88,16 @@ class ZeroingPose:
 
 
 def zeroed_at(angles: ArrayLike | None = None, *, arm: Arm) -> ZeroingPose:
-    """Return the zeroing at angles (k,) of the arm's turning joints, rad; None for home."""
+    """Make the zeroing at a pose.
+
+    Args:
+        angles: (k,) of the arm's turning joints, rad; None: home.
+        arm: whose joints they are.
+
+    Returns:
+        The zeroing, with the turning joints alone.
+
+    """
     at = arm.home_angles if angles is None else np.asarray(angles, dtype=float)
     joints = dict(zip(arm.turning_names, numbers(at), strict=True))
     return ZeroingPose(joints, arm.gravity_in_sensor(at))
@@ -125,23 +142,46 @@ class CalibrationFile:
         return self.arm.sensor_frame
 
     def predict(self, angles: ArrayLike) -> Array:
-        """Return reading (..., 6) expected at angles (..., k) without contact, N and N.m.
+        """Predict readings without contact.
 
         reading = M (W(q; tool) + W(q; adapter) - W(zeroing; adapter)) + residual offset
 
-        in the sensor's own axes: with a `mounting`, q and M are its; without, M is one and the
-        axes are the sensor frame's.
+        in the sensor's own axes: with a `mounting`, q and M are its; without, M is one and the axes
+        are the sensor frame's.
+
+        Args:
+            angles: reported (..., k), rad.
+
+        Returns:
+            (..., 6), N and N.m.
+
         """
         return self.predict_under(self.gravity_in_sensor(angles))
 
     def gravity_in_sensor(self, angles: ArrayLike) -> Array:
-        """Gravity (..., 3) in the sensor at reported angles (..., k), m/s^2: the file's."""
+        """Compute gravity in the sensor, of the file's size and with its mounting.
+
+        Args:
+            angles: reported (..., k), rad.
+
+        Returns:
+            (..., 3) in the sensor's frame, m/s^2.
+
+        """
         if self.mounting is None:
             return self.arm.gravity_in_sensor(angles) * self._gravity_scale
         return self.mounting.gravity_in_sensor(angles, self.arm) * self._gravity_scale
 
     def predict_under(self, gravity_sensor: ArrayLike) -> Array:
-        """As `predict`, from the true gravity (..., 3) in ft_sensor, m/s^2."""
+        """Predict readings as `predict` does, from gravity.
+
+        Args:
+            gravity_sensor: true gravity (..., 3) in ft_sensor, m/s^2.
+
+        Returns:
+            (..., 6), N and N.m, in the sensor's own axes.
+
+        """
         wrench = (
             gravity_wrench(gravity_sensor, self.load.load)
             + gravity_wrench(gravity_sensor, self.adapter.load)
@@ -241,9 +281,18 @@ class CalibrationFile:
 
 
 def check_tool_name(name: str, what: str = "tool") -> str:
-    """Return `name` if it may name a file, of a tool or of `what`.
+    """Check that a name may name a file, of a tool or of `what`.
 
-    Raises ToolNameError unless it is 1 to 64 letters, digits, '_' and '-'.
+    Args:
+        name: to be checked.
+        what: whose name it is, for the error's text.
+
+    Returns:
+        The name.
+
+    Raises:
+        ToolNameError: it is not 1 to 64 letters, digits, '_' and '-'.
+
     """
     if not isinstance(name, str) or not _NAME.fullmatch(name):
         raise ToolNameError(
@@ -254,15 +303,36 @@ def check_tool_name(name: str, what: str = "tool") -> str:
 
 
 def calibration_path(tools_dir: str | os.PathLike[str], tool: str) -> Path:
-    """Path of a calibration file; raises ToolNameError for a name that is not allowed."""
+    """Compose the path of a calibration file.
+
+    Args:
+        tools_dir: directory of the files; ~ is expanded.
+        tool: the tool's name.
+
+    Returns:
+        The path, whether there is a file or not.
+
+    Raises:
+        ToolNameError: the name is not allowed.
+
+    """
     return Path(tools_dir).expanduser() / f"{check_tool_name(tool)}.json"
 
 
 def read_calibration(path: str | os.PathLike[str], arm: Arm) -> CalibrationFile:
-    """Read and check a calibration file, to use it on `arm`.
+    """Read and check a calibration file.
 
-    Raises CalibrationFileError that names the file and the field; where the file itself can't be
-    read, its cause is the OSError.
+    Args:
+        path: file to read.
+        arm: the one that the file is used on.
+
+    Returns:
+        The file's content.
+
+    Raises:
+        CalibrationFileError: naming the file and the field; where the file itself can't be read,
+            its cause is the OSError.
+
     """
     path = Path(path)
     try:
@@ -277,10 +347,21 @@ def read_calibration(path: str | os.PathLike[str], arm: Arm) -> CalibrationFile:
 def parse_calibration(
     path: str | os.PathLike[str], raw: bytes, arm: Arm, *, other_arms: bool = False
 ) -> CalibrationFile:
-    """Check the bytes of a calibration file; raises CalibrationFileError that names `path`.
+    """Check the bytes of a calibration file.
 
-    other_arms: a file of another arm than `arm` is read as well. Its arm then has the file's name,
-    joints, sensor frame and gravity, but no geometry: its `urdf` is empty.
+    Args:
+        path: of the file, for the error's text.
+        raw: its content.
+        arm: the one that the file is used on.
+        other_arms: a file of another arm than `arm` is read as well. Its arm then has the file's
+            name, joints, sensor frame and gravity, but no geometry: its `urdf` is empty.
+
+    Returns:
+        The file's content.
+
+    Raises:
+        CalibrationFileError: naming `path` and the field.
+
     """
     try:
         return _from_json(parse_json(raw), arm, other_arms)
@@ -291,7 +372,14 @@ def parse_calibration(
 def write_calibration(path: str | os.PathLike[str], tool: CalibrationFile) -> None:
     """Write a calibration file whole or not at all; the old one is kept as `.bak`.
 
-    Raises CalibrationFileError, naming the file; the old file is then untouched.
+    Args:
+        path: file to write.
+        tool: its content.
+
+    Raises:
+        CalibrationFileError: naming the file, which could not be read back or written; the old file
+            is then untouched.
+
     """
     path = Path(path)
     try:
@@ -308,7 +396,19 @@ def write_calibration(path: str | os.PathLike[str], tool: CalibrationFile) -> No
 
 
 def age_text(calibrated_at: str, now: datetime | None = None) -> str:
-    """How long ago an RFC 3339 time was."""
+    """Write how long ago a time was.
+
+    Args:
+        calibrated_at: RFC 3339, with a time zone.
+        now: with a time zone; None: the clock's.
+
+    Returns:
+        As "3 days ago".
+
+    Raises:
+        ValueError: it is no such time.
+
+    """
     then = datetime.fromisoformat(calibrated_at)
     age_s = ((now or datetime.now(UTC)) - then).total_seconds()
     if age_s < -60.0:

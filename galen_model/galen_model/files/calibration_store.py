@@ -103,7 +103,14 @@ class CalibrationStore:
     def __init__(
         self, tools_dir: str | os.PathLike[str], arm: Arm, *, other_arms: bool = False
     ) -> None:
-        """`arm`: the one that the tools are used on; other_arms: as of `parse_calibration`."""
+        """Take a directory; nothing is read yet.
+
+        Args:
+            tools_dir: directory of the files; ~ is expanded.
+            arm: the one that the tools are used on.
+            other_arms: as of `parse_calibration`.
+
+        """
         self.directory = Path(tools_dir).expanduser()
         self.arm = arm
         self._parse = partial(parse_calibration, arm=arm, other_arms=other_arms)
@@ -111,13 +118,35 @@ class CalibrationStore:
     def read(self, name: str) -> StoredCalibration:
         """Read and check a calibration file, and that it holds the tool of this name.
 
-        Raises ToolNameError, or CalibrationFileError that names the file; where there is none, its
-        cause is a FileNotFoundError.
+        Args:
+            name: the tool's.
+
+        Returns:
+            The tool as it was read.
+
+        Raises:
+            ToolNameError: the name is not allowed.
+            CalibrationFileError: naming the file; where there is none, its cause is a
+                FileNotFoundError.
+
         """
         return self._stored(self._checked(name), name)
 
     def previous(self, name: str) -> StoredCalibration:
-        """Read and check the calibration before a tool's present one, as `read` does."""
+        """Read and check the calibration before a tool's present one, as `read` does.
+
+        Args:
+            name: the tool's.
+
+        Returns:
+            The tool as it was read from the backup.
+
+        Raises:
+            ToolNameError: the name is not allowed.
+            CalibrationFileError: naming the file; where there is none, its cause is a
+                FileNotFoundError.
+
+        """
         backup = self._within(_backup(calibration_path(self.directory, name)))
         if not os.path.lexists(backup):
             raise CalibrationFileError(
@@ -126,7 +155,18 @@ class CalibrationStore:
         return self._stored(backup, name)
 
     def has_previous(self, name: str) -> bool:
-        """Whether `revert` would bring a calibration back. Raises ToolNameError."""
+        """Check whether `revert` would bring a calibration back.
+
+        Args:
+            name: the tool's.
+
+        Returns:
+            Whether there is a usable one.
+
+        Raises:
+            ToolNameError: the name is not allowed.
+
+        """
         try:
             self.previous(name)
         except CalibrationFileError:
@@ -134,7 +174,15 @@ class CalibrationStore:
         return True
 
     def names(self) -> list[str]:
-        """Return the listed names, sorted: files *.json. Raises CalibrationStoreError."""
+        """List the names of files *.json.
+
+        Returns:
+            Names of tools, sorted, whether their files can be used or not.
+
+        Raises:
+            CalibrationStoreError: the directory can't be read.
+
+        """
         return sorted(
             name.removesuffix(_SUFFIX)
             for name in self._files()
@@ -142,7 +190,18 @@ class CalibrationStore:
         )
 
     def entries(self, names: list[str] | None = None) -> Iterator[Entry]:
-        """Return the tools of these names (default: all), one by one as they are read."""
+        """Read tools one by one.
+
+        Args:
+            names: of the tools; None: all.
+
+        Yields:
+            A row of the list, also where the file can't be used.
+
+        Raises:
+            CalibrationStoreError: the directory can't be read.
+
+        """
         for name in self.names() if names is None else names:
             try:
                 yield Entry(name, self.read(name))
@@ -152,9 +211,22 @@ class CalibrationStore:
     def rename(self, name: str, new_name: str) -> StoredCalibration:
         """Give a tool another name, in its file and inside; its backup goes with it.
 
-        Raises ToolNameError, CalibrationFileError, ToolExistsError or CalibrationStoreError; the
-        tool then has its old name. A rename that a crash cut short is finished by
-        asking for it again.
+        A rename that a crash cut short is finished by asking for it again. After an error the tool
+        has its old name.
+
+        Args:
+            name: the tool's.
+            new_name: a free name.
+
+        Returns:
+            The tool under its new name.
+
+        Raises:
+            ToolNameError: a name is not allowed.
+            CalibrationFileError: the file can't be read or used.
+            ToolExistsError: the new name is taken.
+            CalibrationStoreError: it can't be renamed.
+
         """
         old = self.read(name)
         new_path = calibration_path(self.directory, new_name)
@@ -190,9 +262,19 @@ class CalibrationStore:
     def revert(self, name: str) -> StoredCalibration:
         """Swap a calibration file and the calibration before it; doing it twice changes nothing.
 
-        A broken file is kept as the other one. Raises ToolNameError, CalibrationFileError where
-        there is no file or no usable calibration before it, or CalibrationStoreError; nothing is
-        then changed.
+        A broken file is kept as the other one. An error of the swap changes nothing.
+
+        Args:
+            name: the tool's.
+
+        Returns:
+            The tool with the calibration brought back.
+
+        Raises:
+            ToolNameError: the name is not allowed.
+            CalibrationFileError: there is no file or no usable calibration before it.
+            CalibrationStoreError: they can't be swapped.
+
         """
         path = self._regular(name)
         self.previous(name)
@@ -204,10 +286,19 @@ class CalibrationStore:
         return self.read(name)
 
     def remove(self, name: str) -> Path:
-        """Take a tool off the list; returns where its file is kept, so that it can come back.
+        """Take a tool off the list, broken or not; its file is kept, so that it can come back.
 
-        A broken file can be removed as well. Raises ToolNameError, CalibrationFileError where
-        there is no file, or CalibrationStoreError.
+        Args:
+            name: the tool's.
+
+        Returns:
+            Where the file is kept.
+
+        Raises:
+            ToolNameError: the name is not allowed.
+            CalibrationFileError: there is no file.
+            CalibrationStoreError: it can't be renamed.
+
         """
         path = self._regular(name)
         try:
@@ -220,16 +311,34 @@ class CalibrationStore:
         return kept
 
     def removed(self) -> list[str]:
-        """Names of removed tools that can be brought back, sorted. Raises CalibrationStoreError."""
+        """List the removed tools that can be brought back.
+
+        Returns:
+            Names, sorted.
+
+        Raises:
+            CalibrationStoreError: the directory can't be read.
+
+        """
         found = {match.group(1) for match in map(_REMOVED_NAME.fullmatch, self._files()) if match}
         gone = (name for name in found if not os.path.lexists(self.directory / name))
         return sorted(name.removesuffix(_SUFFIX) for name in gone)
 
     def restore(self, name: str) -> Path:
-        """Bring back the tool removed last under this name, and its backup; returns its path.
+        """Bring back the tool removed last under a name, and its backup.
 
-        Raises ToolNameError, ToolExistsError, CalibrationFileError where none is kept, or
-        CalibrationStoreError.
+        Args:
+            name: the tool's.
+
+        Returns:
+            Path of its file.
+
+        Raises:
+            ToolNameError: the name is not allowed.
+            ToolExistsError: there is a tool of this name.
+            CalibrationFileError: none is kept.
+            CalibrationStoreError: it can't be renamed.
+
         """
         path = calibration_path(self.directory, name)
         if os.path.lexists(path):

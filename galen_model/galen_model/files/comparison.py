@@ -115,14 +115,36 @@ class CalibrationComparison:
 
 
 def before_name(tool: str) -> str:
-    """Return what the calibration before a tool's present one is called beside others."""
+    """Name the calibration before a tool's present one, beside others.
+
+    Args:
+        tool: the tool's name.
+
+    Returns:
+        The name with "before", which no tool has.
+
+    """
     return f"{tool} before"
 
 
 def compare_calibrations(
     a: CalibrationFile, b: CalibrationFile, names: tuple[str, str] | None = None
 ) -> CalibrationComparison:
-    """Compare two files; `names`: as they are called here. Raises IncomparableError."""
+    """Compare two files.
+
+    Args:
+        a: the first.
+        b: the second; differences are its values less the first's.
+        names: what they are called in texts; None: by their tools.
+
+    Returns:
+        The differences, and the largest one of what is compensated.
+
+    Raises:
+        IncomparableError: the files are of two arms, or a mounting's effect is not known for lack
+            of the arm's description.
+
+    """
     name_a, name_b = names or (a.tool, b.tool)
     if why := a.arm.difference(b.arm):
         raise IncomparableError(f"'{name_a}' and '{name_b}' are of two arms: {why}")
@@ -154,7 +176,16 @@ def compare_calibrations(
 
 
 def same_load(a: LoadEstimate, b: LoadEstimate) -> bool:
-    """Whether mass and centre are the same, at 95 %, as far as both covariances tell."""
+    """Check whether mass and centre are the same, at 95 %, as far as both covariances show.
+
+    Args:
+        a: the first estimate.
+        b: the second, of independent noise and in the same frame.
+
+    Returns:
+        Whether noise alone may make the difference.
+
+    """
     covariance = np.asarray(a.covariance, dtype=float) + b.covariance
     difference = np.concatenate([[b.mass_kg - a.mass_kg], b.com_m - np.asarray(a.com_m)])
     scale = np.sqrt(np.diag(covariance))
@@ -207,7 +238,15 @@ def _largest(difference: Array, angles: Array) -> list[tuple[float, Array]]:
 
 
 def three_digits(value: float) -> str:
-    """Return a number with three significant digits, or all before its point, and no exponent."""
+    """Write a number with three significant digits, or all before its point, and no exponent.
+
+    Args:
+        value: in the unit in which it is shown.
+
+    Returns:
+        The text.
+
+    """
     if value == 0.0 or not np.isfinite(value):
         return f"{value:g}"
     return f"{value:.{max(0, 2 - int(np.floor(np.log10(abs(value)))))}f}"

@@ -45,7 +45,15 @@ _WITHOUT_INERTIA = ("control_toolbox", "ros2_control")
 
 
 def hung_load(tool: CalibrationFile) -> LoadEstimate:
-    """Return tool and adapter as one load in the sensor's frame; deviations are upper bounds."""
+    """Join tool and adapter to one load.
+
+    Args:
+        tool: with both loads.
+
+    Returns:
+        The load in the sensor's frame; its deviations are upper bounds.
+
+    """
     parts = (tool.load, tool.adapter)
     mass = sum(part.mass_kg for part in parts)
     com = np.sum([part.load.moments[1:] for part in parts], axis=0) / mass
@@ -59,9 +67,15 @@ def hung_load(tool: CalibrationFile) -> LoadEstimate:
 
 
 def inertia_about_centre(tool: CalibrationFile, load: LoadEstimate) -> Array | str:
-    """Return the inertia (3, 3) of `hung_load` about its centre, kg m^2, in the sensor's axes.
+    """Compute the inertia of `hung_load` about its centre.
 
-    Or why there is none, in words.
+    Args:
+        tool: with the inertia about the sensor's origin.
+        load: `hung_load` of it, in the sensor's frame.
+
+    Returns:
+        (3, 3), kg m^2, along the sensor's axes; or why there is none, in words.
+
     """
     if tool.inertia is None:
         return "the calibration holds no inertia (poses at rest do not show it)"
@@ -78,10 +92,20 @@ def inertia_about_centre(tool: CalibrationFile, load: LoadEstimate) -> Array | s
 
 
 def export_load(tool: CalibrationFile, form: str, frame: str = "") -> dict[str, Any]:
-    """Return what hangs on the sensor in a frame: SI numbers, and the file's `text`.
+    """Write what hangs on the sensor in a format and a frame.
 
-    form: one of FORMATS; frame: empty for the sensor's. Raises FrameError and, for a frame that
-    joints move against the sensor, FrameNeedsJointsError.
+    Args:
+        tool: the calibration.
+        form: one of FORMATS.
+        frame: name; empty: the sensor's.
+
+    Returns:
+        SI numbers in the frame, notes, and the file's `text`.
+
+    Raises:
+        FrameError: the arm has no such frame, or its description is needed and lacks.
+        FrameNeedsJointsError: joints move the frame against the sensor.
+
     """
     known = ("", tool.sensor_frame, TIP_FRAME)
     if not tool.arm.urdf and (frame not in known or form in _WITHOUT_INERTIA):
@@ -332,10 +356,17 @@ FORMATS: dict[str, tuple[Callable[..., _Lines], str]] = {
 
 
 def principal_axes(inertia: Array) -> tuple[Array, Array]:
-    """Return principal moments (3,) and R_frame_principal (3, 3) of an inertia (3, 3).
+    """Compute the principal moments and axes of an inertia.
 
     The axes are ordered and directed to lie as near as possible to the frame's: R's trace is then
     above 1, so that R turns by less than 90 degrees and is no reflection.
+
+    Args:
+        inertia: (3, 3), symmetric, kg m^2.
+
+    Returns:
+        Moments (3,), kg m^2, and R_frame_principal (3, 3).
+
     """
     moments, axes = np.linalg.eigh(inertia)
     order = max(

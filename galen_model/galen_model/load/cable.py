@@ -61,12 +61,31 @@ FORMS = ("point", "point_and_couple", "free")
 
 
 def groups(form: str) -> int:
-    """How many vectors g has: of forces (1), or of forces and of torques (2)."""
+    """Count the vectors that g has in a form.
+
+    Args:
+        form: one of FORMS.
+
+    Returns:
+        1 (forces) or 2 (forces, and torques or couples).
+
+    """
     return 1 if form == "point" else 2
 
 
 def form_matrices(form: str, joints: ArrayLike, attachment_m: ArrayLike, arm: Arm) -> Array:
-    """B (groups, n, 6, 3) at the arm's joints (n, d); attachment (3,) in the sensor, m."""
+    """Compute B, which takes g to the readings, of each pose.
+
+    Args:
+        form: one of FORMS.
+        joints: (n, d) of the arm, m and rad.
+        attachment_m: r (3,) in the sensor's frame; without effect for `free`.
+        arm: whose joints they are.
+
+    Returns:
+        B (groups, n, 6, 3): wrench in ft_sensor by each vector of g.
+
+    """
     q = np.asarray(joints, dtype=float)
     matrices = np.zeros((groups(form), len(q), 6, 3))
     if form == "free":
@@ -81,7 +100,17 @@ def form_matrices(form: str, joints: ArrayLike, attachment_m: ArrayLike, arm: Ar
 
 
 def attachment_derivatives(form: str, joints: Array, arm: Arm) -> Array:
-    """Return derivatives of B[0] by the attachment (3, n, 6, 3), 1/m; zeros for `free`."""
+    """Compute the derivatives of B[0] by the attachment.
+
+    Args:
+        form: one of FORMS.
+        joints: (n, d) of the arm, m and rad.
+        arm: whose joints they are.
+
+    Returns:
+        (3, n, 6, 3), 1/m, the first axis x, y, z of the attachment; zeros for `free`.
+
+    """
     derivatives = np.zeros((3, len(joints), 6, 3))
     if form != "free":
         turned = np.swapaxes(arm.rotation(arm.angles(joints)), -1, -2)
@@ -151,7 +180,20 @@ class LearnedPull:
 
     @classmethod
     def from_json(cls, value: Any, name: str, arm: Arm) -> LearnedPull:
-        """From the key's content, for an arm; raises FieldError that names what is wrong."""
+        """Read the content of the key `cable`.
+
+        Args:
+            value: the content as parsed.
+            name: the key's name in errors.
+            arm: whose joints the poses are of.
+
+        Returns:
+            The pull, whose numbers make a posterior.
+
+        Raises:
+            FieldError: a field is missing or wrong; the message names it.
+
+        """
         whole = mapping(value, name)
         form = text(get(whole, "form"), f"{name}.form")
         if form not in FORMS:
@@ -204,7 +246,17 @@ class LearnedPull:
 
 
 def smooth_kernel(a: Array, b: Array, lengths: Array) -> Array:
-    """exp(-|a - b|^2 / 2) (n, m) of rows (n, d) and (m, d), in units of lengths (d,)."""
+    """Compute exp(-|a - b|^2 / 2) of all pairs, in units of lengths.
+
+    Args:
+        a: (n, d).
+        b: (m, d), in a's units.
+        lengths: (d,), in a's units.
+
+    Returns:
+        Kernel (n, m).
+
+    """
     left, right = a / lengths, b / lengths
     # By products, without an array of all differences: |a - b|^2 = |a|^2 + |b|^2 - 2 a.b.
     apart2 = np.sum(left**2, axis=1)[:, None] + np.sum(right**2, axis=1) - 2.0 * left @ right.T
@@ -212,7 +264,17 @@ def smooth_kernel(a: Array, b: Array, lengths: Array) -> Array:
 
 
 def prior_covariance(drag: LearnedPull, a: Array, b: Array) -> Array:
-    """Prior covariance (6 n, 6 m) of the readings at joints (n, d) and (m, d)."""
+    """Compute the prior covariance of the readings at two sets of poses.
+
+    Args:
+        drag: form, lengths and amplitudes.
+        a: joints (n, d), m and rad.
+        b: joints (m, d), m and rad.
+
+    Returns:
+        (6 n, 6 m) of wrenches in ft_sensor, pose by pose.
+
+    """
     kernel = smooth_kernel(a, b, _lengths(drag))
     left = form_matrices(drag.form, a, drag.attachment_m, drag.arm)
     right = form_matrices(drag.form, b, drag.attachment_m, drag.arm)
@@ -224,12 +286,29 @@ def prior_covariance(drag: LearnedPull, a: Array, b: Array) -> Array:
 
 
 def together(left: Array, right: Array) -> Array:
-    """B B'^T (n, 6, m, 6) of matrices (n, 6, 3) and (m, 6, 3)."""
+    """Compute B B'^T of all pairs of poses.
+
+    Args:
+        left: B (n, 6, 3).
+        right: B' (m, 6, 3).
+
+    Returns:
+        (n, 6, m, 6).
+
+    """
     return np.asarray(np.tensordot(left, right, axes=(2, 2)))
 
 
 def constant_size(group: int) -> float:
-    """Return the prior's c for a group of the form: N or N.m."""
+    """Get the prior's c for a group of the form.
+
+    Args:
+        group: 0 for forces, 1 for torques.
+
+    Returns:
+        c, N or N.m.
+
+    """
     return float(_CONSTANT[group])
 
 
@@ -238,7 +317,15 @@ def _lengths(drag: LearnedPull) -> Array:
 
 
 def support_step(missing: ArrayLike) -> Array:
-    """How much of the pull is taken, from 1 to 0, where a share (...) is missing (s)."""
+    """Compute how much of the pull is taken where a part of the information is missing.
+
+    Args:
+        missing: s (...), 0 to 1.
+
+    Returns:
+        Weight (...), from 1 at SEEN to 0 at UNSEEN.
+
+    """
     x = np.clip((np.asarray(missing, dtype=float) - SEEN) / (UNSEEN - SEEN), 0.0, 1.0)
     return np.asarray(1.0 - x * x * (3.0 - 2.0 * x))
 
@@ -247,7 +334,15 @@ class CablePosterior:
     """The pull at other poses than those of the sweep."""
 
     def __init__(self, drag: LearnedPull) -> None:
-        """Factor the covariance of the poses; raises numpy's LinAlgError where it is none."""
+        """Factor the covariance of the poses.
+
+        Args:
+            drag: the sweep and how smooth the pull is.
+
+        Raises:
+            numpy.linalg.LinAlgError: the numbers make no covariance.
+
+        """
         self._drag = drag
         covariance = prior_covariance(drag, drag.joints, drag.joints)
         covariance[np.diag_indices(len(covariance))] += drag.std.ravel() ** 2
@@ -274,12 +369,28 @@ class CablePosterior:
         """(n, n): s = 1 - k^T support k."""
 
     def readings(self, joints: ArrayLike) -> Array:
-        """Return the pull (n, 6) to subtract at joints (n, d): mean times `weights`."""
+        """Compute the pull to subtract: mean times `weights`.
+
+        Args:
+            joints: (n, d) of the arm, m and rad.
+
+        Returns:
+            Wrenches (n, 6) in ft_sensor, N and N.m.
+
+        """
         q = np.asarray(joints, dtype=float)
         return self.means(q) * self.weights(q)[:, None]
 
     def means(self, joints: ArrayLike) -> Array:
-        """Return the process' mean (n, 6), whether the pose was seen or not."""
+        """Compute the process' mean, whether the pose was seen or not.
+
+        Args:
+            joints: (n, d) of the arm, m and rad.
+
+        Returns:
+            Wrenches (n, 6) in ft_sensor, N and N.m.
+
+        """
         q = np.asarray(joints, dtype=float)
         kernel = smooth_kernel(q, self._drag.joints, self.lengths)
         smooth = (kernel @ self.by_pose.T + self.constant).reshape(len(q), -1, 3)
@@ -287,15 +398,30 @@ class CablePosterior:
         return np.asarray(np.einsum("gnkl,ngl->nk", matrices, smooth))
 
     def weights(self, joints: ArrayLike) -> Array:
-        """How much of the mean is taken (n,), from 0 to 1."""
+        """Compute how much of the mean is taken.
+
+        Args:
+            joints: (n, d) of the arm, m and rad.
+
+        Returns:
+            Weights (n,), from 0 to 1.
+
+        """
         q = np.asarray(joints, dtype=float)
         kernel = smooth_kernel(q, self._drag.joints, self.support_lengths)
         return support_step(1.0 - np.einsum("ni,ij,nj->n", kernel, self.support, kernel))
 
     def covariance(self, joints: ArrayLike) -> Array:
-        """Covariance (6, 6) of what `readings` leaves of the pull at joints (d,).
+        """Compute the covariance of what `readings` leaves of the pull.
 
         The process' own, inflated; and, where the pull isn't taken whole, what is not taken.
+
+        Args:
+            joints: (d,) of one pose, m and rad.
+
+        Returns:
+            (6, 6), N and N.m squared, in ft_sensor.
+
         """
         q = np.asarray(joints, dtype=float)[None]
         left = (1.0 - self.weights(q)[0]) * self.means(q)[0]
@@ -303,7 +429,15 @@ class CablePosterior:
         return np.asarray(own + np.outer(left, left))
 
     def process_covariance(self, joints: ArrayLike) -> Array:
-        """Covariance (6, 6) of the pull at joints (d,) given the sweep, as the process has it."""
+        """Compute the covariance of the pull given the sweep, as the process has it.
+
+        Args:
+            joints: (d,) of one pose, m and rad.
+
+        Returns:
+            (6, 6), N and N.m squared, in ft_sensor, not inflated.
+
+        """
         q = np.asarray(joints, dtype=float)[None]
         across = prior_covariance(self._drag, q, self._drag.joints)
         known = across @ cho_solve(self._factor, across.T)

@@ -152,7 +152,17 @@ class ChosenLoad:
     def predict(
         self, gravity_sensor: ArrayLike, time_s: Array, temperature_c: Array | None = None
     ) -> Array:
-        """Return reading (n, 6), N and N.m, under gravity (n, 3), m/s^2, at times (n,), s."""
+        """Predict readings.
+
+        Args:
+            gravity_sensor: (n, 3) in the sensor's frame, m/s^2.
+            time_s: (n,) on the clock of the identified readings.
+            temperature_c: (n,) of the sensor, or None.
+
+        Returns:
+            (n, 6), N and N.m, with the bias at those times.
+
+        """
         expected = self.single.predict(gravity_sensor) - self.single.offset
         if self.mounting is not None:
             expected = expected @ self.mounting.reading_from_wrench.T
@@ -179,10 +189,13 @@ def choose_load(
     Args:
         gravity_sensor: (n, 3) in the sensor's frame, m/s^2.
         wrench: (n, 6) averaged readings of still poses, N and N.m.
-        time_s: (n,) when each was taken, s; their order where that is not known.
+        time_s: (n,) when each was taken, s, or their order; None: no drift is tried.
         groups: (n,) blocks to hold out; None: runs of neighbours in time.
         temperature_c: (n,) of the sensor, deg C, or None.
         arm: whose sensor it is.
+
+    Returns:
+        The load, with what was chosen and why.
 
     Raises:
         IdentificationError: as `identification.identify_single_load` does.
@@ -208,7 +221,24 @@ def refit(
     *,
     arm: Arm,
 ) -> SingleLoad:
-    """Fit the model chosen from all readings (n) to `rows` (n,) of them, without another choice."""
+    """Fit the chosen model to some of the readings, without another choice.
+
+    Args:
+        chosen: what `choose_load` returned for all n readings.
+        gravity_sensor: (n, 3) in the sensor's frame, m/s^2.
+        wrench: (n, 6), N and N.m.
+        time_s: (n,).
+        rows: mask (n,) of the readings to fit.
+        temperature_c: (n,) of the sensor, deg C, or None.
+        arm: whose sensor it is.
+
+    Returns:
+        The load; `used` is the mask of the fitted rows alone.
+
+    Raises:
+        IdentificationError: as `identification.identify_single_load` does.
+
+    """
     assert chosen.choice is not None
     readings = replace(
         LoadReadings.of_orientations(gravity_sensor[rows], wrench[rows], arm=arm),
@@ -228,11 +258,25 @@ def choose_calibration(
 ) -> Identification:
     """Identify tool and adapter by the model that held-out blocks prefer.
 
-    bare: the sweep without the tool, or None; zero_angles: (k,) where the sensor was zeroed, rad.
-    Without times nothing that needs them is tried. progress: told in words what is compared; what
-    it raises comes through. zeroed: of one sweep, whether the sensor was zeroed there with the
-    adapter alone; None: the readings decide (`zeroing_fault`). If not, tool and adapter are one
-    load. Raises as `identify_two_sweeps` does.
+    Without times nothing that needs them is tried.
+
+    Args:
+        bare: the sweep without the tool, or None.
+        tool: the sweep with it.
+        zero_angles: (k,) where the sensor was zeroed, rad; None: the arm's home.
+        progress: called with a text on what is compared; what it raises comes through. None: not
+            called.
+        zeroed: of one sweep, whether the sensor was zeroed there with the adapter alone; if not,
+            tool and adapter are one load. None: the readings decide (`zeroing_fault`).
+
+    Returns:
+        Loads and offsets, with what was chosen and why.
+
+    Raises:
+        NotExcitedError: naming what the poses don't identify.
+        IdentificationError: for a mass that is not positive, too few poses or too many that fit no
+            load.
+
     """
     apart, why = True, ""
     if bare is None:

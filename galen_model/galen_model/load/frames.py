@@ -30,9 +30,16 @@ _Fixed = tuple[str, Array, Array]
 
 
 def frames(arm: Arm) -> tuple[str, ...]:
-    """Names of the frames that a load can be given in: sensor, tip, links towards the base.
+    """Name the frames that a load can be given in: sensor, tip, links towards the base.
 
     Then the description's other frames that are rigid to one of these.
+
+    Args:
+        arm: with its description, if it has one.
+
+    Returns:
+        Names, each once.
+
     """
     links = (joint.link for joint in reversed(arm.joints))
     named = (arm.sensor_frame, TIP_FRAME, *links, arm.base_frame)
@@ -59,30 +66,75 @@ class SensorInFrame:
     origin_m: Array
 
     def load(self, estimate: LoadEstimate) -> LoadEstimate:
-        """Return a load known in ft_sensor, with centre and covariance in the frame."""
+        """Express a load in the frame.
+
+        Args:
+            estimate: of the load in ft_sensor.
+
+        Returns:
+            Mass, and centre and covariance (4, 4) in the frame, kg and m.
+
+        """
         spread = np.eye(4)
         spread[1:, 1:] = self.rotation
         covariance = spread @ np.asarray(estimate.covariance, dtype=float) @ spread.T
         return LoadEstimate(estimate.mass_kg, self.point(estimate.com_m), covariance)
 
     def point(self, point_m: ArrayLike) -> Array:
-        """Return a point (3,) of ft_sensor in the frame, m."""
+        """Express a point in the frame.
+
+        Args:
+            point_m: (3,) in ft_sensor.
+
+        Returns:
+            Point (3,) in the frame, m.
+
+        """
         return self.rotation @ np.asarray(point_m, dtype=float) + self.origin_m
 
     def wrench(self, wrench: ArrayLike) -> Array:
-        """Return a wrench (..., 6) of ft_sensor in the frame and about its origin, N and N.m."""
+        """Express a wrench in the frame and about its origin.
+
+        Args:
+            wrench: (..., 6) in ft_sensor, N and N.m.
+
+        Returns:
+            Wrench (..., 6) in the frame, N and N.m.
+
+        """
         return move_wrench(wrench, self.rotation, self.origin_m)
 
 
 def needed_joints(frame: str, arm: Arm) -> tuple[str, ...]:
-    """Names of the joints between a frame and the sensor; raises FrameError."""
+    """Name the joints between a frame and the sensor.
+
+    Args:
+        frame: name of the frame.
+        arm: that carries it.
+
+    Returns:
+        Names from the frame to the sensor; empty where the frame is rigid to the sensor.
+
+    Raises:
+        FrameError: the arm has no such frame.
+
+    """
     return arm.joint_names[_carrier(frame, arm)[0] :]
 
 
 def joint_vector(values: Sequence[float], arm: Arm) -> Array:
-    """Joints (n,) of n values, of the turning joints' angles alone or of none; the rest NaN.
+    """Complete joint values that were given for all joints, the turning ones or none.
 
-    Raises FrameNeedsJointsError for another number of them, or values that aren't finite.
+    Args:
+        values: n in the arm's order, or of the turning joints alone, or none; m and rad.
+        arm: whose joints they are.
+
+    Returns:
+        Joints (n,), NaN where not given.
+
+    Raises:
+        FrameNeedsJointsError: there is another number of values, or one isn't finite.
+
     """
     unknown = np.full(len(arm.joints), np.nan)
     if len(values) not in (0, len(arm.turning), len(unknown)) or not np.all(np.isfinite(values)):
@@ -99,10 +151,21 @@ def joint_vector(values: Sequence[float], arm: Arm) -> Array:
 def sensor_in_frame(
     frame: str, tip_m: ArrayLike, joints: ArrayLike | None = None, *, arm: Arm
 ) -> SensorInFrame:
-    """Where the sensor is in `frame`.
+    """Find where the sensor is in a frame.
 
-    tip_m: (3,) in the sensor's frame; joints: (n,) in the arm's order, NaN where not known. Raises
-    FrameError for another name, FrameNeedsJointsError if a joint between frame and sensor lacks.
+    Args:
+        frame: name of the frame.
+        tip_m: the tool's tip (3,) in the sensor's frame.
+        joints: (n,) in the arm's order, m and rad, NaN where not known; None: none is known.
+        arm: that carries the frame.
+
+    Returns:
+        Rotation and origin of ft_sensor in the frame.
+
+    Raises:
+        FrameError: the arm has no such frame.
+        FrameNeedsJointsError: a joint between frame and sensor is not known.
+
     """
     if frame == TIP_FRAME:
         return SensorInFrame(frame, np.eye(3), -np.asarray(tip_m, dtype=float))
@@ -155,9 +218,14 @@ def _carrier(frame: str, arm: Arm) -> tuple[int, Array, Array]:
 
 @lru_cache(maxsize=4)
 def placed_frames(urdf: str) -> Mapping[str, _Fixed]:
-    """Frames of a description, empty without one: the joint that carries each, and its place.
+    """List the frames of a description, with the joint that carries each and the place on it.
 
-    The place in the joint's own frame, R (3, 3) and origin (3,), m.
+    Args:
+        urdf: the description's text; empty: there is none.
+
+    Returns:
+        By frame: the joint's name, R (3, 3) and origin (3,), m, in the joint's own frame.
+
     """
     if not urdf:
         return {}

@@ -78,9 +78,16 @@ _REMEDIES = {
 def check_excitation(
     design: Array, names: Sequence[str], poses: Mapping[str, StillPoses] | None = None
 ) -> None:
-    """Raise NotExcitedError, naming what is missing, unless every parameter is identifiable.
+    """Check that the poses identify every parameter of the loads.
 
-    design (n, 6, q): the parameters asked for come first, in the order of `names`.
+    Args:
+        design: (n, 6, q): the parameters asked for come first, four of each load.
+        names: of these parameters.
+        poses: sweeps by their labels, for the error's text.
+
+    Raises:
+        NotExcitedError: a combination is not identifiable; the message names what is missing.
+
     """
     values, directions = _inflation(design, len(names))
     bad = np.flatnonzero(values > MAX_INFLATION)
@@ -146,7 +153,7 @@ def check_identifiable(
     known_rows: Array,
     max_std: float | None = MAX_STD,
 ) -> None:
-    """Raise NotExcitedError naming the pairs, unless every parameter is identifiable.
+    """Check that every parameter of the mounting is identifiable.
 
     Args:
         jacobian: (n, 6, p), columns: the loads' moments, the parameters, the offsets.
@@ -154,7 +161,10 @@ def check_identifiable(
         loads: number of moments.
         names: of the parameters.
         known_rows: (k, p) what is known of the loads beforehand, over its standard deviation.
-        max_std: None: the noise is not known yet.
+        max_std: largest standard deviation, rad or a gain; None: the noise is not known yet.
+
+    Raises:
+        NotExcitedError: naming the parameters that are not, each with what it is confused with.
 
     """
     space = _Space(jacobian, sigma, loads, names, known_rows, max_std)

@@ -133,9 +133,16 @@ class KnownLoad:
             raise IdentificationError(f"the known centre's deviation is {self.com_std_m:g} m")
 
     def of_moments(self, parameters: int) -> Known:
-        """Return it as knowledge of the moments (m, h), the first four of p parameters.
+        """Convert to knowledge of the moments (m, h).
 
-        h - p m = 0 within m times the centre's deviation.
+        A known centre p is h - p m = 0 within m times its deviation.
+
+        Args:
+            parameters: number of unknowns, of which the load's moments are the first four.
+
+        Returns:
+            1 row, or 4 where the centre is known, in kg and kg.m.
+
         """
         count = 1 if self.com_m is None else 4
         rows, values = np.zeros((count, parameters)), np.zeros(count)
@@ -164,8 +171,11 @@ def identify_two_sweeps(
         groups: of the mounting, to be found as well; rmse and offsets are of the raw axes.
         known: what is known of the tool otherwise.
 
+    Returns:
+        Loads, offsets and the mounting, if asked for.
+
     Raises:
-        NotExcitedError: naming what the poses don't tell.
+        NotExcitedError: naming what the poses don't identify.
         IdentificationError: for a mass that is not positive, too few poses or too many that fit no
             load.
 
@@ -181,7 +191,21 @@ def identify_two_sweeps(
 def check_two_sweeps(
     bare: StillPoses, tool: StillPoses, zero_angles: ArrayLike | None = None
 ) -> LoadReadings:
-    """Return both sweeps' readings; raises as `identify_two_sweeps` does before a fit."""
+    """Check two sweeps before a fit.
+
+    Args:
+        bare: the sweep without the tool.
+        tool: the sweep with it.
+        zero_angles: (k,) where the sensor was zeroed, rad; None: the arm's home.
+
+    Returns:
+        The readings of both.
+
+    Raises:
+        NotExcitedError: too few poses, or poses that don't identify the loads.
+        IdentificationError: a channel reads the same whatever the others do.
+
+    """
     check_count(bare, "sweep without the tool")
     check_count(tool, "sweep with the tool")
     readings = LoadReadings.of_two_sweeps(bare, tool, zero_angles)
@@ -204,7 +228,19 @@ def identify_one_sweep(
     The offset is taken as the zeroing's noise, as large as that of one averaged reading. A sensor
     that has drifted since it was zeroed is mistaken for adapter mass; two sweeps don't do that.
 
-    Args and errors: as of `identify_two_sweeps`.
+    Args:
+        tool: the sweep.
+        zero_angles: (k,) where the sensor was zeroed, rad; None: the arm's home.
+        groups: of the mounting, to be found as well; rmse and offsets are of the raw axes.
+
+    Returns:
+        Loads, offset and the mounting, if asked for.
+
+    Raises:
+        NotExcitedError: naming what the poses don't identify.
+        IdentificationError: for a mass that is not positive, too few poses or too many that fit no
+            load.
+
     """
     together = check_one_sweep(tool)
     readings = LoadReadings.of_one_sweep(tool, zero_angles)
@@ -214,9 +250,20 @@ def identify_one_sweep(
 
 
 def check_one_sweep(tool: StillPoses) -> LoadReadings:
-    """Return the sweep's readings as of one load; raises as `identify_one_sweep` before a fit.
+    """Check a sweep before a fit.
 
-    The sum of both loads must show in the poses themselves, whatever the zeroing tells.
+    The sum of both loads must show in the poses themselves, whatever the zeroing adds.
+
+    Args:
+        tool: the sweep.
+
+    Returns:
+        Its readings as of one load.
+
+    Raises:
+        NotExcitedError: too few poses, or poses that don't identify one load.
+        IdentificationError: a channel reads the same whatever the others do.
+
     """
     check_count(tool, "sweep with the tool")
     readings = LoadReadings.of_one_load(tool)
@@ -228,7 +275,17 @@ def check_one_sweep(tool: StillPoses) -> LoadReadings:
 def identify_one_load(tool: StillPoses) -> Identification:
     """Identify tool and adapter as one load, with the sensor's own constant offset, from one sweep.
 
-    Raises as `identify_two_sweeps` does.
+    Args:
+        tool: the sweep.
+
+    Returns:
+        The load of both; the adapter is zero.
+
+    Raises:
+        NotExcitedError: naming what the poses don't identify.
+        IdentificationError: for a mass that is not positive, too few poses or too many that fit no
+            load.
+
     """
     fit, _ = fit_robust(check_one_sweep(tool), poses={"with the tool": tool})
     return identification(fit, None, tool)
@@ -304,7 +361,17 @@ def check_loads(
     used: np.ndarray | None = None,
     poses: Mapping[str, StillPoses] | None = None,
 ) -> None:
-    """Raise NotExcitedError where the readings, or those `used` (n,), don't tell the loads."""
+    """Check that the readings identify the loads.
+
+    Args:
+        readings: n of them.
+        used: mask (n,) of those that count; None: all.
+        poses: sweeps by their labels, for the error's text.
+
+    Raises:
+        NotExcitedError: naming what they don't identify.
+
+    """
     design = with_offsets(readings.of_loads.design, readings.segment)
     rows = slice(None) if used is None else used
     check_excitation(design[rows], LOAD_PARAMETERS[: readings.loads], poses)
@@ -318,7 +385,7 @@ def check_mounting(
     max_std: float | None,
     used: np.ndarray | None = None,
 ) -> None:
-    """Raise NotExcitedError unless the readings, or those `used` (n,), tell the mounting.
+    """Check that the readings identify the mounting.
 
     Args:
         readings: n of them.
@@ -326,7 +393,10 @@ def check_mounting(
         values: (p,) loads and mounting, near which the readings are linear.
         sigma: (6,) noise of a reading.
         max_std: largest standard deviation, rad or a gain; None: the noise is not known yet.
-        used: mask (n,).
+        used: mask (n,) of the readings that count; None: all.
+
+    Raises:
+        NotExcitedError: naming what they don't identify.
 
     """
     own = replace(model, sweeps=readings.sweeps, zero=readings.zero, loads=readings.loads)
@@ -350,7 +420,7 @@ def identification(
     gravity_zero: Array | None = None,
     drifts: bool = False,
 ) -> Identification:
-    """Return what a fit found of two sweeps, or of one.
+    """Collect what a fit found of two sweeps, or of one.
 
     Args:
         fit: its values as `fit_robust` has them.
@@ -360,6 +430,9 @@ def identification(
         gravity_zero: (3,) in the sensor's frame where it was zeroed with the adapter alone before
             the only sweep, m/s^2; None: two sweeps, or tool and adapter are one load.
         drifts: a change of the offset between the sweeps is no news.
+
+    Returns:
+        Loads and offsets, with warnings.
 
     Raises:
         IdentificationError: for a mass that is not positive.
@@ -420,7 +493,7 @@ def _unresolved(fit: Fit, gravity_zero: Array) -> str:
 
 
 def zeroing_fault(tool: StillPoses, gravity_zero: Array) -> str:
-    """Say why the sensor can't have been zeroed with the adapter alone; empty where it may.
+    """Find why the sensor can't have been zeroed with the adapter alone.
 
     One load x and free offsets o are fitted to the sweep. A zeroing with the adapter (m_b, h_b)
     under gravity g_0 leaves o = -G_0 x_b:
@@ -435,8 +508,11 @@ def zeroing_fault(tool: StillPoses, gravity_zero: Array) -> str:
         tool: the sweep.
         gravity_zero: (3,) in the sensor's frame where it would have been zeroed, m/s^2.
 
+    Returns:
+        The reason, a clause; empty where it may have been.
+
     Raises:
-        IdentificationError: as `identify_single_load` does.
+        IdentificationError: too few poses, or too many that fit no load.
 
     """
     fit = LoadReadings.of_one_load(tool).of_loads.robust()
@@ -477,7 +553,7 @@ def check_planned_poses(
     zero_angles: ArrayLike | None = None,
     arm: Arm,
 ) -> None:
-    """Raise NotExcitedError, before the arm moves, where the poses don't tell loads or mounting.
+    """Check, before the arm moves, that the poses identify loads and mounting.
 
     Args:
         angles: (n, k), rad.
@@ -486,6 +562,10 @@ def check_planned_poses(
         one_sweep: there is none without the tool.
         zero_angles: (k,) where the sensor will be zeroed, rad; None: the arm's home.
         arm: that moves.
+
+    Raises:
+        NotExcitedError: naming what they don't identify.
+        IdentificationError: a group can't be estimated for this arm.
 
     """
     planned = StillPoses(np.asarray(angles, dtype=float), np.zeros((len(angles), 6)), arm=arm)
@@ -517,11 +597,14 @@ class SingleLoad:
     mounting: Mounting | None = None
 
     def predict(self, gravity_sensor: ArrayLike, base_from_sensor: Array | None = None) -> Array:
-        """Return readings (..., 6), N and N.m.
+        """Compute readings.
 
         Args:
             gravity_sensor: (..., 3) in the sensor's frame of a level base, m/s^2.
             base_from_sensor: R_base_sensor (..., 3, 3), which an inclination of the base needs.
+
+        Returns:
+            (..., 6), N and N.m, with the offset.
 
         """
         gravity = np.asarray(gravity_sensor, dtype=float)
@@ -552,8 +635,13 @@ def identify_single_load(
         known: of all that hangs on the sensor.
         arm: whose sensor it is.
 
+    Returns:
+        Load, biases, noise and the mask (n,) of the readings used.
+
     Raises:
-        NotExcitedError, IdentificationError: as `identify_two_sweeps` does.
+        NotExcitedError: naming what the poses don't identify.
+        IdentificationError: for a mass that is not positive, too few poses or too many that fit no
+            load.
 
     """
     readings = LoadReadings.of_orientations(gravity_sensor, wrench, base_from_sensor, arm=arm)
@@ -568,10 +656,18 @@ def identify_single_load(
 
 
 def plain_least_squares(gravity_sensor: ArrayLike, wrench: ArrayLike) -> tuple[Array, Array]:
-    """Fit moments (4,) and biases (6,), unweighted and unchecked, as other packages do.
+    """Fit moments and biases of one load, unweighted and unchecked, as other packages do.
 
-    gravity (n, 3) in the sensor's frame, m/s^2; readings (n, 6). The three axes of a force (of a
-    torque) count alike, whatever their noise; force and torque share no parameter in (m, h).
+    The three axes of a force (of a torque) count alike, whatever their noise; force and torque
+    share no parameter in (m, h).
+
+    Args:
+        gravity_sensor: (n, 3) in the sensor's frame, m/s^2.
+        wrench: readings (n, 6), N and N.m.
+
+    Returns:
+        Moments (4,), kg and kg.m, and biases (6,), N and N.m.
+
     """
     design = single_load_design(np.asarray(gravity_sensor, dtype=float))
     solution = least_squares(design, np.asarray(wrench, dtype=float)).values
@@ -579,16 +675,33 @@ def plain_least_squares(gravity_sensor: ArrayLike, wrench: ArrayLike) -> tuple[A
 
 
 def check_count(poses: StillPoses, name: str) -> None:
-    """Raise NotExcitedError for fewer than `MIN_POSES`."""
+    """Check that a sweep has at least `MIN_POSES` poses.
+
+    Args:
+        poses: the sweep.
+        name: of the sweep, for the error's text.
+
+    Raises:
+        NotExcitedError: it has fewer.
+
+    """
     if len(poses) < MIN_POSES:
         raise NotExcitedError(f"{name}: {len(poses)} still poses; at least {MIN_POSES} are needed")
 
 
 def check_channels(rows: Array, poses: StillPoses, name: str) -> None:
-    """Raise IdentificationError for a channel that reads the same whatever the other five do.
+    """Check for a channel that reads the same whatever the other five do.
 
-    rows: (n, 6, 4) of one load and, with free offsets, of any that hang on the sensor together.
     A dead channel would else pass as a noisy one, since its own residual makes its weight.
+
+    Args:
+        rows: (n, 6, 4) of one load and, with free offsets, of any that hang on the sensor together.
+        poses: the sweep, n poses.
+        name: of the sweep, for the error's text.
+
+    Raises:
+        IdentificationError: a channel is constant where it should change.
+
     """
     centred_rows = rows - rows.mean(axis=0)
     centred = poses.wrench - poses.wrench.mean(axis=0)
@@ -609,7 +722,15 @@ def check_channels(rows: Array, poses: StillPoses, name: str) -> None:
 
 
 def check_rejections(fit: Fit) -> None:
-    """Raise IdentificationError where too many poses fit no common load."""
+    """Check how many poses a fit rejected.
+
+    Args:
+        fit: with its mask of the readings used.
+
+    Raises:
+        IdentificationError: more than a third fit no common load.
+
+    """
     rejected = int(np.sum(~fit.used))
     if rejected > _MAX_REJECTED_FRACTION * len(fit.used):
         raise IdentificationError(
@@ -619,13 +740,16 @@ def check_rejections(fit: Fit) -> None:
 
 
 def load_estimate(values: Array, covariance: Array, name: str, first: int = 0) -> LoadEstimate:
-    """Mass and centre from the moments; covariance by p = h / m, dp = (dh - p dm) / m.
+    """Compute mass and centre from the moments; covariance by p = h / m, dp = (dh - p dm) / m.
 
     Args:
         values: (p,), four of which, from `first` on, are the moments.
         covariance: (p, p).
         name: of the load, for the error's text.
         first: see values.
+
+    Returns:
+        Mass, centre in ft_sensor and their covariance.
 
     Raises:
         IdentificationError: for a mass that is not positive beyond its standard deviation.

@@ -44,10 +44,16 @@ INERTIA_NAMES = ("xx", "yy", "zz", "xy", "xz", "yz")
 def inertial_regressor(
     specific_m_s2: ArrayLike, velocity_rad_s: ArrayLike, acceleration_rad_s2: ArrayLike
 ) -> Array:
-    """Y (..., 6, 10) with the wrench Y (m, h, I), N and N.m in ft_sensor.
+    """Compute Y with the wrench Y (m, h, I). All vectors are in ft_sensor.
 
-    All (..., 3) in ft_sensor: s = g - a, m/s^2 (-a alone for the inertial forces without the
-    weight), angular velocity, angular acceleration.
+    Args:
+        specific_m_s2: s = g - a (..., 3); -a alone for the inertial forces without the weight.
+        velocity_rad_s: angular velocity (..., 3).
+        acceleration_rad_s2: angular acceleration (..., 3).
+
+    Returns:
+        Y (..., 6, 10), which takes kg, kg.m and kg m^2 to N and N.m in ft_sensor.
+
     """
     specific, omega, alpha = np.broadcast_arrays(
         np.asarray(specific_m_s2, dtype=float),
@@ -69,16 +75,35 @@ def inertial_wrench(
     moments: ArrayLike,
     about_sensor_kg_m2: ArrayLike,
 ) -> Array:
-    """Wrench (..., 6) of a load: moments (4,) as `Load.moments`, inertia (6,) about the sensor."""
+    """Compute the wrench of a load in motion. All vectors are in ft_sensor.
+
+    Args:
+        specific_m_s2: s = g - a (..., 3); -a alone for the inertial forces without the weight.
+        velocity_rad_s: angular velocity (..., 3).
+        acceleration_rad_s2: angular acceleration (..., 3).
+        moments: (4,) as `Load.moments`, kg and kg.m.
+        about_sensor_kg_m2: inertia (6,) about the sensor's origin, as INERTIA_NAMES.
+
+    Returns:
+        Wrench (..., 6), N and N.m in ft_sensor.
+
+    """
     numbers = np.concatenate([np.asarray(moments, float), np.asarray(about_sensor_kg_m2, float)])
     regressor = inertial_regressor(specific_m_s2, velocity_rad_s, acceleration_rad_s2)
     return np.asarray(regressor @ numbers)
 
 
 def point_mass_inertia(*loads: Load) -> Array:
-    """Inertia (6,) about the sensor's origin, kg m^2, of loads as points: m (p.p 1 - p p^T).
+    """Compute the inertia of loads as points: m (p.p 1 - p p^T).
 
     The least that the loads can have: their own inertia about their centres comes on top.
+
+    Args:
+        *loads: with their centres in ft_sensor.
+
+    Returns:
+        Inertia (6,) of all about the sensor's origin, kg m^2, as INERTIA_NAMES.
+
     """
     total = np.zeros((3, 3))
     for load in loads:
@@ -88,13 +113,29 @@ def point_mass_inertia(*loads: Load) -> Array:
 
 
 def inertia_numbers(matrix: ArrayLike) -> Array:
-    """Return the six numbers of a symmetric matrix (3, 3), in the order of `INERTIA_NAMES`."""
+    """Take the six numbers out of a symmetric matrix.
+
+    Args:
+        matrix: (3, 3), kg m^2.
+
+    Returns:
+        (6,), in the order of `INERTIA_NAMES`.
+
+    """
     i = np.asarray(matrix, dtype=float)
     return np.array([i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]])
 
 
 def inertia_matrix(numbers: ArrayLike) -> Array:
-    """Return the symmetric matrix (3, 3) of six numbers."""
+    """Make the symmetric matrix of six numbers.
+
+    Args:
+        numbers: (6,), in the order of `INERTIA_NAMES`, kg m^2.
+
+    Returns:
+        (3, 3).
+
+    """
     xx, yy, zz, xy, xz, yz = np.asarray(numbers, dtype=float)
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
@@ -111,14 +152,30 @@ class LoadInMotion:
     """`inertial_wrench` of one load, for one moment at a time and some ten times as fast."""
 
     def __init__(self, moments: ArrayLike, about_sensor_kg_m2: ArrayLike) -> None:
-        """Moments (4,) as `Load.moments`, inertia (6,) about the sensor's origin."""
+        """Take a load.
+
+        Args:
+            moments: (4,) as `Load.moments`, kg and kg.m.
+            about_sensor_kg_m2: inertia (6,) about the sensor's origin, as INERTIA_NAMES.
+
+        """
         self._moments = tuple(float(v) for v in np.asarray(moments, dtype=float))
         self._inertia = tuple(float(v) for v in np.asarray(about_sensor_kg_m2, dtype=float))
 
     def wrench(
         self, specific: Sequence[float], velocity: Sequence[float], acceleration: Sequence[float]
     ) -> tuple[float, float, float, float, float, float]:
-        """Return the wrench, N and N.m, from s (g - a, or -a alone), w and al in ft_sensor."""
+        """Compute the wrench at one moment. All vectors are in ft_sensor.
+
+        Args:
+            specific: s = g - a, or -a alone, (3,), m/s^2.
+            velocity: w (3,), rad/s.
+            acceleration: al (3,), rad/s^2.
+
+        Returns:
+            fx, fy, fz, tx, ty, tz, N and N.m.
+
+        """
         m, hx, hy, hz = self._moments
         xx, yy, zz, xy, xz, yz = self._inertia
         sx, sy, sz = specific
@@ -171,7 +228,20 @@ class InertiaEstimate:
 
     @classmethod
     def from_json(cls, value: Any, name: str) -> InertiaEstimate:
-        """From the key's content; raises FieldError that names what is wrong."""
+        """Read the content of the key `inertia`.
+
+        Args:
+            value: the content as parsed.
+            name: the key's name in errors.
+
+        Returns:
+            Inertia and covariance.
+
+        Raises:
+            FieldError: a field is missing or wrong, or the inertia is no possible one; the message
+                names it.
+
+        """
         whole = mapping(value, name)
         inertia = array(
             get(whole, "about_sensor_kg_m2"), f"{name}.about_sensor_kg_m2", (len(INERTIA_NAMES),)
@@ -230,10 +300,20 @@ class ImuFit:
 
 
 def fit_imu(gravity: Array, specific: Array) -> ImuFit:
-    """From gravity (n, 3) in ft_sensor and specific force (n, 3) in the IMU's axes, m/s^2.
+    """Find how an IMU sits on the sensor, and its scale and bias, from still poses.
 
-    Raises IdentificationError for too few poses or readings that are no rotation of gravity's
-    reaction, NotExcitedError for poses that leave the rotation about an axis open.
+    Args:
+        gravity: (n, 3) in ft_sensor, m/s^2.
+        specific: averaged specific force (n, 3) in the IMU's axes, m/s^2, at the same poses.
+
+    Returns:
+        The mount, its lever arm zero, and residuals.
+
+    Raises:
+        NotExcitedError: the poses leave the rotation about an axis open.
+        IdentificationError: there are too few poses, or the readings are no rotation of gravity's
+            reaction.
+
     """
     if len(gravity) < _FEWEST:
         raise IdentificationError(f"{len(gravity)} still poses are too few to mount an IMU")

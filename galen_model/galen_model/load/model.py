@@ -63,7 +63,15 @@ class LoadEstimate:
 
 
 def gravity_regressor(gravity_sensor: ArrayLike) -> Array:
-    """G (..., 6, 4) with W = G (m, h), for gravity in ft_sensor (..., 3), m/s^2."""
+    """Compute G with W = G (m, h).
+
+    Args:
+        gravity_sensor: (..., 3) along ft_sensor's axes, m/s^2.
+
+    Returns:
+        G (..., 6, 4), which takes kg and kg.m to N and N.m in ft_sensor.
+
+    """
     gravity = np.asarray(gravity_sensor, dtype=float)
     regressor = np.zeros((*gravity.shape[:-1], 6, 4))
     regressor[..., :3, 0] = gravity
@@ -72,7 +80,16 @@ def gravity_regressor(gravity_sensor: ArrayLike) -> Array:
 
 
 def gravity_wrench(gravity_sensor: ArrayLike, load: Load) -> Array:
-    """W (..., 6), N and N.m in ft_sensor, of `load` under gravity in ft_sensor (..., 3)."""
+    """Compute the wrench of a load's weight about the sensor's origin.
+
+    Args:
+        gravity_sensor: (..., 3) along ft_sensor's axes, m/s^2.
+        load: mass and centre in ft_sensor.
+
+    Returns:
+        W (..., 6), N and N.m in ft_sensor.
+
+    """
     gravity = np.asarray(gravity_sensor, dtype=float)
     force = load.mass_kg * gravity
     return np.concatenate([force, np.cross(np.asarray(load.com_m, dtype=float), force)], axis=-1)
@@ -86,10 +103,18 @@ def nominal_reading(
     *,
     arm: Arm,
 ) -> Array:
-    """Return reading (..., 6) without contact and noise, N and N.m in the sensor's frame.
+    """Compute the reading without contact and noise.
 
-    angles: (..., k) of the arm's turning joints, rad; zero_angles (k,) those of the pose in which
-    the sensor was zeroed with the adapter on and no tool, None for home.
+    Args:
+        angles: (..., k) of the arm's turning joints, rad.
+        tool: what is mounted after zeroing.
+        adapter: what was on the sensor when it was zeroed, and stays.
+        zero_angles: (k,) of the pose in which the sensor was zeroed, rad; None: home.
+        arm: whose joints they are.
+
+    Returns:
+        Reading (..., 6), N and N.m in the sensor's frame.
+
     """
     gravity = arm.gravity_in_sensor(angles)
     at_zero = gravity_wrench(arm.gravity_in_sensor(zero_angles), adapter)

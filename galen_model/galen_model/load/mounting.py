@@ -52,7 +52,15 @@ ZEROS = len(_PARAMETERS)
 
 
 def parameters(joints: Sequence[str]) -> tuple[str, ...]:
-    """Order of a mounting's 12 + k parameters, rad but for gains; joints: the k revolute ones."""
+    """Name a mounting's 12 + k parameters, rad but for gains.
+
+    Args:
+        joints: names of the k revolute joints.
+
+    Returns:
+        Names in the order of `Mounting.vector`.
+
+    """
     return (*_PARAMETERS, *(f"the {name} joint's zero" for name in joints))
 
 
@@ -70,12 +78,28 @@ class Entity:
 
 
 def inclination_axes(gravity: ArrayLike) -> str:
-    """Return the two base axes of an inclination under gravity (3,) in the base: "xy" along z."""
+    """Choose the two base axes of an inclination: those other than the one nearest to gravity.
+
+    Args:
+        gravity: (3,) in the base's frame.
+
+    Returns:
+        Their letters: "xy" for gravity along z.
+
+    """
     return "xyz".replace("zyx"[int(np.argmax(np.abs(np.asarray(gravity))[::-1]))], "")
 
 
 def groups_of(arm: Arm) -> dict[str, tuple[Entity, ...]]:
-    """Return what can be asked for of an arm, and which directions it holds."""
+    """List what can be asked for of an arm, and which directions it holds.
+
+    Args:
+        arm: with its turning joints and gravity.
+
+    Returns:
+        Directions by group; a group is empty where nothing in it changes gravity in the sensor.
+
+    """
     joints = arm.turning_names
     names = parameters(joints)
 
@@ -161,7 +185,19 @@ GROUPS = (*tuple(groups_of(GALEN))[: -len(GALEN.turning)], "JOINT_zero")
 
 
 def entities(names: Sequence[str], arm: Arm) -> tuple[Entity, ...]:
-    """Return the directions of groups by name, each once; raises IdentificationError."""
+    """Collect the directions of groups, each once.
+
+    Args:
+        names: of groups.
+        arm: with its turning joints and gravity.
+
+    Returns:
+        Directions in the order of the names.
+
+    Raises:
+        IdentificationError: there is no such group, or it is empty for this arm.
+
+    """
     known = groups_of(arm)
     for name in names:
         if name not in known:
@@ -183,7 +219,15 @@ _ABOUT_Z = ZEROS - 1
 
 
 def inclination(about_rad: ArrayLike) -> Array:
-    """Return (Rx(a) Ry(b) Rz(c))^T (3, 3), which takes a level base's gravity into the inclined."""
+    """Compute (Rx(a) Ry(b) Rz(c))^T, which takes a level base's gravity into the inclined.
+
+    Args:
+        about_rad: a, b, c (3,).
+
+    Returns:
+        (3, 3), in the base's frame.
+
+    """
     a, b, c = np.asarray(about_rad, dtype=float)
     return np.asarray((rot_x(a) @ rot_y(b) @ rot_z(c)).T)
 
@@ -208,7 +252,15 @@ class Mounting:
 
     @staticmethod
     def of(arm: Arm) -> "Mounting":
-        """Return that of an arm whose sensor and joints are as they should be."""
+        """Make the mounting of an arm whose sensor and joints are as they should be.
+
+        Args:
+            arm: with its turning joints.
+
+        Returns:
+            All parameters zero.
+
+        """
         return Mounting.from_vector(np.zeros(ZEROS + len(arm.turning)), joints=arm.turning_names)
 
     @staticmethod
@@ -219,7 +271,18 @@ class Mounting:
         *,
         joints: tuple[str, ...],
     ) -> "Mounting":
-        """Of parameters (12 + k,) in the order of `parameters`."""
+        """Make a mounting of its parameters.
+
+        Args:
+            vector: (12 + k,) in the order of `parameters`.
+            estimated: names of the groups that were estimated.
+            covariance: (12 + k, 12 + k); None: zero.
+            joints: names of the k revolute joints.
+
+        Returns:
+            The mounting.
+
+        """
         none = np.zeros((len(vector), len(vector)))
         return Mounting(
             vector[:3], vector[3:9], vector[9:ZEROS], vector[ZEROS:], estimated,
@@ -259,21 +322,45 @@ class Mounting:
         return inclination(self.base_inclination_rad)
 
     def gravity_direction(self, arm: Arm) -> Array:
-        """Return the unit vector (3,) of gravity in the arm's base frame."""
+        """Compute the direction of gravity in the arm's base frame, inclined.
+
+        Args:
+            arm: whose base it is.
+
+        Returns:
+            Unit vector (3,).
+
+        """
         return self.inclination @ (arm.gravity_m_s2 / np.linalg.norm(arm.gravity_m_s2))
 
     def gravity_in_sensor(self, angles: ArrayLike | None, arm: Arm) -> Array:
-        """Gravity (..., 3) in the sensor, m/s^2, at reported angles (..., k); None for home."""
+        """Compute gravity in the sensor's frame, with inclination and zeros.
+
+        Args:
+            angles: reported (..., k) of the turning joints, rad; None: home.
+            arm: whose joints they are.
+
+        Returns:
+            (..., 3), m/s^2.
+
+        """
         reported = arm.home_angles if angles is None else np.asarray(angles, dtype=float)
         true = reported + self.joint_zero_rad
         size = float(np.linalg.norm(arm.gravity_m_s2))
         return arm.direction_in_sensor(true, self.gravity_direction(arm)) * size
 
     def turned_gravity(self, gravity_sensor: ArrayLike, base_from_sensor: ArrayLike) -> Array:
-        """Gravity (n, 3) in the sensor's frame as the inclined base has it.
+        """Compute gravity in the sensor's frame as the inclined base has it.
 
-        From the gravity u (n, 3) of a level base and R = R_base_sensor (n, 3, 3):
         u + R^T ((Rx(a) Ry(b) Rz(c))^T - 1) R u.
+
+        Args:
+            gravity_sensor: u (n, 3) in the sensor's frame of a level base, m/s^2.
+            base_from_sensor: R = R_base_sensor (n, 3, 3).
+
+        Returns:
+            (n, 3), m/s^2.
+
         """
         gravity = np.asarray(gravity_sensor, dtype=float)[..., None]
         rotation = np.asarray(base_from_sensor, dtype=float)
@@ -295,7 +382,12 @@ class Mounting:
         return turned / (1.0 + self.axis_gain)[None, :]
 
     def to_json(self) -> dict[str, Any]:
-        """As the calibration file holds it: without the base's angle about z where it is none."""
+        """Convert to the content that the calibration file holds.
+
+        Returns:
+            The fields, without the base's angle about z where it is none.
+
+        """
         angles = dict(zip(_ANGLES, numbers(self.base_inclination_rad), strict=True))
         covariance = self.covariance
         if not (angles["about_z"] or self.std[_ABOUT_Z]):
@@ -312,7 +404,20 @@ class Mounting:
 
     @staticmethod
     def from_json(value: Any, name: str, arm: Arm) -> "Mounting":
-        """Read back, for an arm; raises FieldError naming the field below `name`."""
+        """Read a mounting as `to_json` writes it.
+
+        Args:
+            value: the content as parsed.
+            name: the field's name in errors.
+            arm: whose joints the zeros are of.
+
+        Returns:
+            The mounting.
+
+        Raises:
+            FieldError: a field is missing or wrong; the message names it.
+
+        """
         whole = mapping(value, name)
         rotvec = array(get(whole, "sensor_rotvec_rad"), f"{name}.sensor_rotvec_rad", (3,))
         gain = array(get(whole, "axis_gain"), f"{name}.axis_gain", (6,))

@@ -80,9 +80,16 @@ class Worth:
 
 
 def compare(parts: Mapping[str, Sequence[Array]], sigma: Array) -> Worth:
-    """Of held-out residuals (k, 6) by model and block, NaN where one rejected; sigma (6,) noise.
+    """Compare the models by their held-out residuals.
 
-    The models are `PLAIN`, `ROBUST` and `MOUNTED`; two blocks at least, empty ones don't count.
+    Args:
+        parts: residuals (k, 6) by model (`PLAIN`, `ROBUST` and `MOUNTED`) and block, N and N.m, NaN
+            where the model rejected a block; two blocks at least, empty ones don't count.
+        sigma: (6,) noise of a reading, N and N.m.
+
+    Returns:
+        The scores.
+
     """
     squares = {  # (blocks, 2): forces, torques
         name: np.array(
@@ -116,7 +123,16 @@ class Calibrated:
     known: KnownLoad | None = None
 
     def identify(self) -> Identification:
-        """From all poses, or those `without` leaves; raises IdentificationError."""
+        """Identify the loads from all poses, or those that `without` leaves.
+
+        Returns:
+            What a fit without a choice of models finds.
+
+        Raises:
+            IdentificationError: the poses don't identify what is asked, or a known load comes with
+                one sweep alone.
+
+        """
         if self.bare is not None:
             return identify_two_sweeps(
                 self.bare, self.tool, self.zero_angles, self.groups, self.known
@@ -131,16 +147,35 @@ class Calibrated:
         return replace(self, groups=(), known=None)
 
     def without(self, block: int, blocks: int) -> Calibrated:
-        """Return the same without a block of each sweep."""
+        """Leave out a block of each sweep.
+
+        Args:
+            block: its number, from 0 on.
+            blocks: into how many each sweep is cut, in visiting order.
+
+        Returns:
+            The same with the poses that remain.
+
+        """
         bare = None if self.bare is None else self.bare.take(~_held(self.bare, block, blocks))
         tool = self.tool.take(~_held(self.tool, block, blocks))
         return replace(self, bare=bare, tool=tool)
 
 
 def worth(measured: Calibrated, all_poses: Identification, blocks: int = BLOCKS) -> Worth:
-    """Score the models; all_poses: the mounted fit to everything, whose outliers don't count.
+    """Score the models on held-out blocks.
 
-    Raises IdentificationError where the mounting can't be fitted without a block.
+    Args:
+        measured: the calibration, with the mounting's groups.
+        all_poses: the mounted fit to everything, whose outliers don't count.
+        blocks: into how many each sweep is cut.
+
+    Returns:
+        The scores.
+
+    Raises:
+        IdentificationError: the mounting can't be fitted without a block.
+
     """
     parts: dict[str, list[Array]] = {name: [] for name in (PLAIN, ROBUST, MOUNTED)}
     for block in range(blocks):

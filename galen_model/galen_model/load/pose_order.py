@@ -61,9 +61,16 @@ _ROUNDS, _CHANGES = 50, 200
 
 
 def best_order(gravity: Array, seconds: Array, stay_s: float) -> np.ndarray:
-    """Return the order (n,) in which to visit poses.
+    """Find an order in which to visit poses, for which a drift costs little.
 
-    gravity: (n, 3) in the sensor. seconds: (n + 1, n + 1) from each pose to each, home the last.
+    Args:
+        gravity: (n, 3) in the sensor, in any unit.
+        seconds: (n + 1, n + 1) of travel from each pose to each, home the last.
+        stay_s: time at each pose.
+
+    Returns:
+        Indices of the poses (n,) in visiting order.
+
     """
     count, gravity = len(gravity), _scaled(gravity)
     walk = _WALK_PER_S2 * stay_s
@@ -106,10 +113,16 @@ def _changed(order: np.ndarray, count: int, random: np.random.Generator) -> np.n
 
 
 def drift_price(gravity: Array, time_s: Array, shapes: Sequence[BiasShape]) -> float:
-    """Return how many times larger a drift makes the load's standard deviation.
+    """Compute how many times larger a drift makes the load's standard deviation.
 
-    gravity: (n, 3) in the sensor; time_s: (n,); shapes: of the six axes' curves. 1 for a constant
-    bias, 1e6 where the curves take all of the load.
+    Args:
+        gravity: (n, 3) in the sensor, in any unit.
+        time_s: (n,) of one sweep.
+        shapes: of the six axes' curves.
+
+    Returns:
+        1 for a constant bias, 1e6 where the curves take all of the load.
+
     """
     kernels = {shape: _kernel(gravity, time_s, shape) for shape in {*shapes, BiasShape()}}
     drifting = _information([kernels[shape] for shape in shapes])
@@ -119,11 +132,20 @@ def drift_price(gravity: Array, time_s: Array, shapes: Sequence[BiasShape]) -> f
 
 
 def drift_warning(gravity: Array, time_s: Array, shapes: Sequence[BiasShape]) -> str:
-    """Return by how much a better order of the poses would lower a drift's price, and how.
+    """Write by how much a better order of the poses would lower a drift's price, and how.
 
-    Arguments as of `drift_price`, of one sweep. "" where the price is below PRICE_LIMIT, or no
-    order found is clearly better. The factor does not hang on how the fit has shared out the
-    residual between noise and drift, as the price itself does.
+    The factor does not depend on how the fit has shared out the residual between noise and drift,
+    as the price itself does.
+
+    Args:
+        gravity: (n, 3) in the sensor, in any unit.
+        time_s: (n,) of one sweep.
+        shapes: of the six axes' curves.
+
+    Returns:
+        A clause; "" where the price is below PRICE_LIMIT, no order found is clearly better, or
+        there are fewer than 3 or more than MOST_ORDERED poses.
+
     """
     if not 3 <= len(time_s) <= MOST_ORDERED:
         return ""

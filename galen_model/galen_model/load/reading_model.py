@@ -37,7 +37,16 @@ class JointPoses:
         return len(self.angles)
 
     def gravity(self, mounting: Mounting) -> tuple[Array, Array]:
-        """Gravity (n, 3) in the sensor and its change (n, 3, 3 + k) by inclination and zeros."""
+        """Compute gravity in the sensor, and its change by inclination and zeros.
+
+        Args:
+            mounting: of the same arm.
+
+        Returns:
+            Gravity (n, 3) along the sensor's axes, m/s^2, and its derivatives (n, 3, 3 + k) by the
+            base's angles about x, y, z and the joints' zeros, m/s^2 per rad.
+
+        """
         joints = self.arm.with_angles(self.angles + mounting.joint_zero_rad)
         rotation, _ = self.arm.sensor_pose(joints)
         _, axes = self.arm.joint_axes(joints)
@@ -67,7 +76,15 @@ class OrientedPoses:
         return len(self.level_gravity)
 
     def gravity(self, mounting: Mounting) -> tuple[Array, Array]:
-        """As `JointPoses.gravity`; joint zeros have no effect."""
+        """Compute gravity in the sensor as `JointPoses.gravity`; joint zeros have no effect.
+
+        Args:
+            mounting: of the arm.
+
+        Returns:
+            Gravity (n, 3) along the sensor's axes, m/s^2, and its derivatives (n, 3, 3 + k).
+
+        """
         change = np.zeros((len(self), 3, 3 + len(mounting.joints)))
         if self.rotation is None:
             return self.level_gravity, change
@@ -124,7 +141,17 @@ class ReadingModel:
     def mounting(
         self, values: Array, estimated: tuple[str, ...] = (), covariance: Array | None = None
     ) -> Mounting:
-        """Return the mounting of values (p, ...), with their covariance where given."""
+        """Make the mounting of the model's values.
+
+        Args:
+            values: (p,) loads' moments, then the mounting's values; further entries are ignored.
+            estimated: names of the groups that were estimated.
+            covariance: of the values, (p, p); further rows and columns are ignored; None: zero.
+
+        Returns:
+            The mounting.
+
+        """
         basis = self.basis
         mounted = slice(self.loads, self.loads + len(self.entities))
         if covariance is not None:
@@ -134,9 +161,15 @@ class ReadingModel:
         )
 
     def evaluate(self, values: Array) -> tuple[Array, Array]:
-        """Return readings (n, 6) of all sweeps and their Jacobian (n, 6, p) by the values (p,).
+        """Compute the readings of all sweeps and their Jacobian.
 
-        The values: the loads' moments, then the mounting's along `entities`.
+        Args:
+            values: (p,) the loads' moments, then the mounting's along `entities`.
+
+        Returns:
+            Readings (n, 6) without offsets, N and N.m, and their derivatives (n, 6, p) by the
+            values.
+
         """
         parts = [self._sweep(sweep, values) for sweep in self.sweeps]
         return np.concatenate([h for h, _ in parts]), np.concatenate([jac for _, jac in parts])

@@ -100,7 +100,15 @@ class StillPoses:
         return np.asarray(np.sqrt(np.mean(self.std_of_mean**2, axis=0)))
 
     def take(self, rows: np.ndarray) -> StillPoses:
-        """Return the poses `rows` (n,), a mask."""
+        """Select some of the poses.
+
+        Args:
+            rows: mask (n,).
+
+        Returns:
+            Those poses.
+
+        """
 
         def part(column: Array | None) -> Array | None:
             return None if column is None else column[rows]
@@ -144,14 +152,34 @@ class LoadReadings:
         *,
         arm: Arm,
     ) -> LoadReadings:
-        """Return the readings (n, 6) of one load under gravity (n, 3) of a level base."""
+        """Make the readings of one load from orientations alone.
+
+        Args:
+            gravity: (n, 3) in the sensor's frame for a level base, m/s^2.
+            wrench: (n, 6), N and N.m.
+            base_from_sensor: R_base_sensor (n, 3, 3); None: an inclination of the base has no
+                effect.
+            arm: whose sensor it is.
+
+        Returns:
+            Readings of one sweep, without times.
+
+        """
         level = np.asarray(gravity, dtype=float)
         sweep = MountedSweep(OrientedPoses(level, base_from_sensor), _TOOL, None)
         return cls((sweep,), zeroing_pose(None, arm), np.asarray(wrench, dtype=float), level)
 
     @classmethod
     def of_one_load(cls, tool: StillPoses) -> LoadReadings:
-        """Return a sweep's, tool and adapter being one load."""
+        """Make the readings of a sweep, tool and adapter being one load.
+
+        Args:
+            tool: the sweep.
+
+        Returns:
+            Its readings, with 4 moments.
+
+        """
         sweep = MountedSweep(JointPoses(tool.angles, tool.arm), _TOOL, None)
         return cls(
             (sweep,), zeroing_pose(None, tool.arm), tool.wrench, tool.gravity, tool.time_s,
@@ -160,9 +188,17 @@ class LoadReadings:
 
     @classmethod
     def of_one_sweep(cls, tool: StillPoses, zero_angles: ArrayLike | None) -> LoadReadings:
-        """Return a sweep's of a sensor that was zeroed at zero_angles (k,), rad, without the tool.
+        """Make the readings of a sweep of a sensor that was zeroed without the tool.
 
         The readings say nothing of the adapter's first moment along gravity there.
+
+        Args:
+            tool: the sweep.
+            zero_angles: (k,) where the sensor was zeroed, rad; None: the arm's home.
+
+        Returns:
+            Its readings, with 8 moments and that moment known to be small.
+
         """
         zero = zeroing_pose(zero_angles, tool.arm)
         along = np.zeros((1, 8))
@@ -176,7 +212,18 @@ class LoadReadings:
     def of_two_sweeps(
         cls, bare: StillPoses, tool: StillPoses, zero_angles: ArrayLike | None
     ) -> LoadReadings:
-        """Return those of a sweep without the tool and one with it."""
+        """Make the readings of a sweep without the tool and one with it.
+
+        Args:
+            bare: the sweep without the tool.
+            tool: the sweep with it, of the same arm.
+            zero_angles: (k,) where the sensor was zeroed, rad; None: the arm's home.
+
+        Returns:
+            Readings of both, with 8 moments; times and temperatures only where both sweeps have
+            them.
+
+        """
 
         def joined(first: Array | None, second: Array | None) -> Array | None:
             return None if first is None or second is None else np.concatenate([first, second])
@@ -214,11 +261,31 @@ class LoadReadings:
         return np.arange(float(len(self))) if self.time_s is None else self.time_s
 
     def model(self, groups: Sequence[str] = ()) -> ReadingModel:
-        """Return the readings as a function of the loads and of the mounting's `groups`."""
+        """Make the readings a function of the loads and of the mounting.
+
+        Args:
+            groups: names of the mounting's parameters, as of `entities`.
+
+        Returns:
+            The model.
+
+        Raises:
+            IdentificationError: a group can't be estimated for this arm.
+
+        """
         return ReadingModel(self.sweeps, self.zero, entities(groups, self.zero.arm), self.loads)
 
     def linearised(self, model: ReadingModel, values: Array) -> Problem:
-        """Return the problem that is linear near the values (p,)."""
+        """Make the problem linear near some values.
+
+        Args:
+            model: of these readings.
+            values: (p,) loads' moments, then the mounting's values.
+
+        Returns:
+            The problem, whose unknowns are the values themselves, not their changes.
+
+        """
         expected, jacobian = model.evaluate(values)
         known = None if self.known is None else self.known.beside(len(model.entities))
         return Problem(
@@ -248,13 +315,31 @@ class LoadReadings:
 
 
 def zeroing_pose(zero_angles: ArrayLike | None, arm: Arm) -> JointPoses:
-    """Return the pose, rad, at which the sensor was zeroed; None: the arm's home."""
+    """Return the pose at which the sensor was zeroed.
+
+    Args:
+        zero_angles: (k,), rad; None: the arm's home.
+        arm: whose joints they are.
+
+    Returns:
+        One pose.
+
+    """
     at = arm.home_angles if zero_angles is None else np.asarray(zero_angles, dtype=float)
     return JointPoses(at[None], arm)
 
 
 def with_offsets(design: Array, segment: np.ndarray | None = None) -> Array:
-    """Append to design (n, 6, p) six offsets for each sweep of `segment` (n,); None: one sweep."""
+    """Append columns of six offsets for each sweep to a design.
+
+    Args:
+        design: (n, 6, p).
+        segment: (n,) which sweep each is of, from 0 on; None: one sweep.
+
+    Returns:
+        (n, 6, p + 6 sweeps), the offsets sweep by sweep.
+
+    """
     which = np.zeros(len(design), dtype=int) if segment is None else segment
     offsets = np.zeros((len(design), 6, int(which.max(initial=0)) + 1, 6))
     for channel in range(6):
@@ -263,5 +348,13 @@ def with_offsets(design: Array, segment: np.ndarray | None = None) -> Array:
 
 
 def single_load_design(gravity: Array) -> Array:
-    """Columns (n, 6, 10): one load's moments (4) and six offsets, from gravity (n, 3), m/s^2."""
+    """Compute the columns of one load's moments (4) and six offsets.
+
+    Args:
+        gravity: (n, 3) along the sensor's axes, m/s^2.
+
+    Returns:
+        (n, 6, 10).
+
+    """
     return with_offsets(gravity_regressor(gravity))

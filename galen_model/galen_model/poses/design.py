@@ -53,22 +53,43 @@ class PoseDesignError(GalenError):
 
 
 def reading_noise() -> Array:
-    """Noise of one sample (6,), N and N.m, quantum included: only its ratios matter here."""
+    """Compute the noise of one sample, quantum included: only its ratios matter here.
+
+    Returns:
+        Standard deviations (6,), N and N.m.
+
+    """
     return np.asarray(np.hypot(SENSOR.noise_std, SENSOR.quantum / np.sqrt(12.0)))
 
 
 def angle_grid(
     lower: Sequence[float] | Array, upper: Sequence[float] | Array, *counts: int
 ) -> Array:
-    """Angles (prod(counts), k), rad, evenly from lower (k,) to upper (k,), ends included."""
+    """Make a grid of angles, ends included.
+
+    Args:
+        lower: (k,), rad.
+        upper: (k,), rad.
+        *counts: k of them, points along each angle.
+
+    Returns:
+        Angles (prod(counts), k), rad, the last angle changing fastest.
+
+    """
     axes = [np.linspace(*axis) for axis in zip(lower, upper, counts, strict=True)]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
 
 
 def workspace(steps: int, arm: Arm) -> Array:
-    """Angles (w, k), rad, evenly over all that the joints' limits allow.
+    """Spread angles evenly over all that the joints' limits allow.
 
-    A grid of steps^k for up to two joints, steps^2 spread poses of more.
+    Args:
+        steps: points along each angle of a grid.
+        arm: with k revolute joints.
+
+    Returns:
+        Angles (w, k), rad: a grid of steps^k for up to two joints, steps^2 spread poses of more.
+
     """
     lower, upper = angle_limits(arm)
     if len(lower) <= MOST_GRID_JOINTS:
@@ -77,14 +98,30 @@ def workspace(steps: int, arm: Arm) -> Array:
 
 
 def angle_limits(arm: Arm) -> tuple[Array, Array]:
-    """Lowest and highest angles (k,), rad, at most one turn apart."""
+    """Get the revolute joints' limits, at most one turn apart.
+
+    Args:
+        arm: with k revolute joints.
+
+    Returns:
+        Lowest and highest angles (k,), rad.
+
+    """
     lower, upper = arm.angles(arm.lower), arm.angles(arm.upper)
     turn = upper - lower > 2.0 * np.pi
     return np.where(turn, -np.pi, lower), np.where(turn, np.pi, upper)
 
 
 def workspace_gravity(arm: Arm) -> Array:
-    """Gravity (w, 3) in the sensor over the workspace, m/s^2."""
+    """Compute gravity in the sensor over the workspace.
+
+    Args:
+        arm: whose workspace it is.
+
+    Returns:
+        (w, 3) in the sensor's frame, m/s^2.
+
+    """
     if len(arm.turning) <= MOST_GRID_JOINTS:
         return arm.gravity_in_sensor(workspace(_WORKSPACE_STEPS, arm))
     count = _WORKSPACE_STEPS**2
@@ -102,16 +139,33 @@ def workspace_gravity(arm: Arm) -> Array:
 
 
 def compensation_std(poses: Array, sigma: Array, arm: Arm) -> Array:
-    """Std (6,), N and N.m, of the compensation's error after a sweep of angles (n, k), rad.
+    """Compute the standard deviation of the compensation's error after a sweep.
 
-    Root of the mean variance over the workspace; sigma (6,) is one averaged reading's noise. inf
-    where the poses don't tell the load.
+    Args:
+        poses: angles (n, k), rad.
+        sigma: (6,) one averaged reading's noise, N and N.m.
+        arm: that takes the poses.
+
+    Returns:
+        (6,), N and N.m: root of the mean variance over the workspace; inf where the poses don't
+        identify the load.
+
     """
     return compensation_std_under(arm.gravity_in_sensor(poses), sigma, arm)
 
 
 def compensation_std_under(gravity: Array, sigma: Array, arm: Arm) -> Array:
-    """As `compensation_std`, after a sweep under gravity (n, 3) in the sensor, m/s^2."""
+    """Compute the standard deviation of the compensation's error as `compensation_std`.
+
+    Args:
+        gravity: (n, 3) of the sweep, in the sensor's frame, m/s^2.
+        sigma: (6,) one averaged reading's noise, N and N.m.
+        arm: whose workspace counts.
+
+    Returns:
+        (6,), N and N.m; inf where the poses don't identify the load.
+
+    """
     information = _information(single_load_design(gravity), sigma).sum(axis=0)
     scaled, balance = _balanced(information)
     if np.linalg.eigvalsh(scaled)[0] < _RIDGE:
@@ -157,24 +211,57 @@ class PoseDesign:
         self._target = _information(rows, self._sigma).mean(axis=0) / 6.0
 
     def information(self, poses: Array) -> Array:
-        """I (n, 10, 10) of angles (n, k), rad, in the scaled parameters."""
+        """Compute I of poses, in the scaled parameters.
+
+        Args:
+            poses: angles (n, k), rad.
+
+        Returns:
+            (n, 10, 10).
+
+        """
         rows = single_load_design(self._arm.gravity_in_sensor(poses))
         return _information(rows * self._scale, self._sigma)
 
     def value(self, poses: Array) -> float:
-        """Phi of angles (n, k), rad, whether candidates or not; inf where they don't tell all."""
+        """Compute phi of poses, whether candidates or not.
+
+        Args:
+            poses: angles (n, k), rad.
+
+        Returns:
+            Phi; inf where they don't identify all parameters.
+
+        """
         return float(self._value(self.information(poses).sum(axis=0) + self._known))
 
     def best_value(self, count: int) -> float:
-        """Phi of `count` poses that are spread as the workspace is."""
+        """Compute phi of poses that are spread as the workspace is.
+
+        Args:
+            count: number of poses.
+
+        Returns:
+            Phi.
+
+        """
         return float(
             np.trace(self._target @ np.linalg.pinv(6.0 * count * self._target + self._known))
         )
 
     def choose(self, count: int, start: Sequence[int] = ()) -> list[int]:
-        """Return indices of `count` candidates, sorted; `start`: some to begin with.
+        """Choose the most informative candidates, by exchange.
 
-        Raises PoseDesignError where there are fewer candidates, or too little excitation.
+        Args:
+            count: how many.
+            start: indices of some to begin with, which may be exchanged.
+
+        Returns:
+            Indices of the candidates, sorted.
+
+        Raises:
+            PoseDesignError: there are fewer candidates, or too little excitation.
+
         """
         if count > len(self.candidates):
             raise PoseDesignError(
@@ -190,7 +277,16 @@ class PoseDesign:
         return sorted(chosen)
 
     def first(self, count: int, start: Sequence[int] = ()) -> list[int]:
-        """Return indices of `count` candidates, the best one by one; no exchange follows."""
+        """Choose candidates, the best one by one; no exchange follows.
+
+        Args:
+            count: how many, at most as many as candidates.
+            start: indices of some to begin with.
+
+        Returns:
+            Indices of the candidates, in the order chosen.
+
+        """
         chosen = list(start)[:count]
         # Until the poses tell all, a little of every candidate stands in for those to come.
         ridge = 1e-3 * self._each.mean(axis=0)

@@ -51,11 +51,19 @@ def quintic_duration_s(
     max_acceleration: ArrayLike,
     shortest_s: float = 0.05,
 ) -> float:
-    """Shortest duration (s) of a quintic from rest to rest that keeps every joint in its limits.
+    """Compute the shortest duration of a quintic from rest to rest within every joint's limits.
 
-    displacement (n,) in m or rad; max_velocity and max_acceleration (n,) in the same unit per s
-    and s^2, positive. Peaks are 15/8 * d/T and 10/sqrt(3) * d/T^2.
-    `shortest_s` keeps a move of no distance from being a step.
+    Peaks are 15/8 * d/T and 10/sqrt(3) * d/T^2.
+
+    Args:
+        displacement: (n,), m or rad.
+        max_velocity: (n,), m/s or rad/s, positive.
+        max_acceleration: (n,), m/s^2 or rad/s^2, positive.
+        shortest_s: least result, which keeps a move of no distance from being a step.
+
+    Returns:
+        Duration, s.
+
     """
     moved = np.asarray(displacement, float)
     return float(_durations_s(moved, max_velocity, max_acceleration, shortest_s))
@@ -78,31 +86,73 @@ class SweepTimes:
     def __init__(
         self, home: Array, max_velocity: Array, max_acceleration: Array, stay_s: float
     ) -> None:
-        """`home` (k,), rad, is where it begins and ends; limits (k,) in rad/s and rad/s^2."""
+        """Take what a sweep's time depends on.
+
+        Args:
+            home: angles (k,), rad, where it begins and ends.
+            max_velocity: (k,), rad/s.
+            max_acceleration: (k,), rad/s^2.
+            stay_s: time at each pose.
+
+        """
         self._home = np.asarray(home, dtype=float)
         self._limits = max_velocity, max_acceleration
         self.stay_s = stay_s
 
     def table(self, poses: Array) -> Array:
-        """Seconds (n + 1, n + 1) from each to each, home the last."""
+        """Compute the times of moves from each pose to each.
+
+        Args:
+            poses: angles (n, k), rad.
+
+        Returns:
+            Seconds (n + 1, n + 1), home the last, without stays.
+
+        """
         places = np.vstack([poses, self._home])
         return _durations_s(places[:, None] - places, *self._limits)
 
     def at_s(self, poses: Array) -> Array:
-        """Seconds (n,) from home until the stay at each pose is over, in this order."""
+        """Compute when the stay at each pose is over.
+
+        Args:
+            poses: angles (n, k), rad, in visiting order.
+
+        Returns:
+            Seconds (n,) from the start at home.
+
+        """
         places = np.vstack([self._home, poses])
         legs = _durations_s(np.diff(places, axis=0), *self._limits)
         return np.asarray(np.cumsum(legs + self.stay_s))
 
     def sweep_s(self, poses: Array) -> float:
-        """Seconds of a sweep in this order, from home to home."""
+        """Compute the time of a sweep, from home to home.
+
+        Args:
+            poses: angles (n, k), rad, in visiting order.
+
+        Returns:
+            Seconds, with the stays.
+
+        """
         places = np.vstack([self._home, poses, self._home])
         legs = _durations_s(np.diff(places, axis=0), *self._limits)
         return float(np.sum(legs)) + len(poses) * self.stay_s
 
 
 def order_poses(poses: Array, times: SweepTimes, arm: Arm) -> Array:
-    """Return the angles (n, k), rad, in the order to visit them; more than MOST_ORDERED stay."""
+    """Put poses in a good visiting order; fewer than 3 or more than MOST_ORDERED stay as they are.
+
+    Args:
+        poses: angles (n, k), rad.
+        times: of moves and stays.
+        arm: that takes the poses.
+
+    Returns:
+        The angles (n, k), rad, in the order to visit them.
+
+    """
     if not 3 <= len(poses) <= MOST_ORDERED:
         return poses
     order = best_order(arm.gravity_in_sensor(poses), times.table(poses), times.stay_s)
@@ -115,12 +165,24 @@ def sweep_grid(
     lower: Sequence[float] | Array,
     upper: Sequence[float] | Array,
 ) -> Array:
-    """Return a grid's poses (n, 2) as (roll, tilt), rad, one roll after the other.
+    """Make a grid's poses, one roll after the other.
 
-    tilts, rolls: start, end (both included, rad) and count of each. lower, upper: limits of (roll,
-    tilt), rad. Every second roll has its tilts backwards, so that more than MOST_ORDERED poses,
-    which stay in this order, need little travel.
-    Raises GalenError for a count below 1, a value that is not finite or outside the limits.
+    Every second roll has its tilts backwards, so that more than MOST_ORDERED poses, which stay in
+    this order, need little travel.
+
+    Args:
+        tilts: start, end (both included, rad) and count.
+        rolls: start, end (both included, rad) and count.
+        lower: lower limits of (roll, tilt), rad.
+        upper: upper limits of (roll, tilt), rad.
+
+    Returns:
+        Poses (n, 2) as (roll, tilt), rad.
+
+    Raises:
+        GalenError: a count is below 1, an angle is not finite or outside the limits, or start and
+            end of several poses are the same.
+
     """
     outer = _axis("roll", "r", *rolls, lower[0], upper[0])
     inner = _axis("tilt", "t", *tilts, lower[1], upper[1])
@@ -191,9 +253,19 @@ class SweepRange:
 
     @classmethod
     def around(cls, here: Array, reach_rad: float, arm: Arm, **more: Any) -> SweepRange:
-        """Return the box within `reach_rad` of the joints `here` (n,) and the limits.
+        """Make the box within a reach of the present pose and the limits.
 
         Where the arm stands near a limit the box is moved away from it, not made smaller.
+
+        Args:
+            here: joints (n,), m and rad, which become home.
+            reach_rad: largest change of each angle, but near a limit.
+            arm: that stands there.
+            **more: further fields of the range.
+
+        Returns:
+            The range.
+
         """
         low, high = arm.angles(arm.lower), arm.angles(arm.upper)
         reach = np.minimum(reach_rad, (high - low) / 2.0)
@@ -218,7 +290,16 @@ class SweepRange:
         return range(joints if self.is_grid else MOST_GRID_JOINTS, joints + 1)
 
     def candidates(self, moving: int | None = None) -> Array:
-        """Angles (m, k), rad, evenly over the range; but the last `moving` joints stay at home."""
+        """Spread candidates evenly over the range.
+
+        Args:
+            moving: all but so many of the last angles stay at home; None: all move. Of a grid all
+                move.
+
+        Returns:
+            Angles (m, k), rad.
+
+        """
         if self.is_grid:
             wide = np.array(self.upper) > np.array(self.lower)
             counts = np.where(wide, self.steps[: len(wide)], 1)
@@ -250,7 +331,23 @@ def plan_as_is(
     source: str = "the grid",
     remedy: str = "clear the space, narrow the grid, or set poses to chosen",
 ) -> SweepPlan:
-    """Plan the poses of `source`; raises ObstacleError naming the first one that can't be had."""
+    """Plan given poses in their order.
+
+    Args:
+        poses: angles (n, k), rad, in visiting order.
+        where: home and arm.
+        surroundings: boxes to keep away from.
+        tip_m: the tool's tip (3,) in the sensor's frame.
+        source: what the poses are of, for the error's text.
+        remedy: what to do where a pose can't be visited, for the error's text.
+
+    Returns:
+        The plan.
+
+    Raises:
+        ObstacleError: a pose can't be visited, named by its place; or home can't be taken.
+
+    """
     router = make_router(where, surroundings, tip_m)
     if router is not None:
         for index, angles in enumerate(poses):
@@ -271,10 +368,24 @@ def plan_chosen(
     *,
     one_sweep: bool = False,
 ) -> SweepPlan:
-    """Choose the `count` most informative poses that can be visited, in a good order.
+    """Choose the most informative poses that can be visited, in a good order.
 
-    Raises ObstacleError naming what is to blame where too few are left, PoseDesignError and
-    NotExcitedError where they excite too little.
+    Args:
+        count: number of poses.
+        where: home, arm and the range of its angles.
+        surroundings: boxes to keep away from.
+        tip_m: the tool's tip (3,) in the sensor's frame.
+        times: of moves and stays.
+        one_sweep: there is none without the tool; the sensor is zeroed at home.
+
+    Returns:
+        The plan.
+
+    Raises:
+        ObstacleError: naming what is to blame where too few poses are left; or home can't be taken.
+        PoseDesignError: the poses excite too little, or the arm has no revolute joint.
+        NotExcitedError: the poses excite too little.
+
     """
     router = make_router(where, surroundings, tip_m)
     zero, arm = where.home_angles, where.arm
@@ -353,9 +464,19 @@ def _choose(
 
 
 def make_router(where: SweepRange, surroundings: Surroundings, tip_m: Array) -> Router | None:
-    """Free ways for a tool with its tip at tip_m (3,) in the sensor; None where all are free.
+    """Make the search for free ways of a tool.
 
-    Raises ObstacleError where the arm can't stand at home, or required shapes can't be reached.
+    Args:
+        where: home, arm and, of a grid, the poses between.
+        surroundings: boxes to keep away from.
+        tip_m: the tool's tip (3,) in the sensor's frame.
+
+    Returns:
+        The search; None where all ways are free.
+
+    Raises:
+        ObstacleError: the arm can't stand at home, or required shapes can't be reached.
+
     """
     arm = where.arm
     if not surroundings.boxes and (arm.delta is not None or not arm.urdf):
@@ -374,7 +495,15 @@ def _warnings(router: Router | None) -> tuple[str, ...]:
 
 
 def left_out(faults: Sequence[str]) -> dict[str, int]:
-    """How many candidates each box, the arm itself, or the limits take away, by name."""
+    """Count the candidates that each box, the arm itself, or the limits take away.
+
+    Args:
+        faults: why each candidate can't be taken; empty ones don't count.
+
+    Returns:
+        Counts by name, most first.
+
+    """
     found = []
     for fault in filter(None, faults):
         box = re.search(r"box \d+", fault)

@@ -51,7 +51,15 @@ class Cells:
         return len(self.start_ns)
 
     def rows(self, rows: np.ndarray) -> Cells:
-        """Return some of the cells."""
+        """Select some of the cells.
+
+        Args:
+            rows: mask (n,) or indices.
+
+        Returns:
+            Those cells, in that order.
+
+        """
         columns = {name: getattr(self, name)[rows] for name in _FIELDS}
         return Cells(**columns, cell_s=self.cell_s)
 
@@ -74,7 +82,14 @@ class CellReducer:
         self._open: tuple[np.ndarray, Array, Array] | None = None
 
     def add(self, stamp_ns: np.ndarray, wrench: Array, angles: Array) -> None:
-        """Take stamps (n,), compensated wrenches (n, 6) and angles (n, k) in rad."""
+        """Take the next block of samples.
+
+        Args:
+            stamp_ns: (n,), from where the last block ended.
+            wrench: compensated (n, 6), N and N.m.
+            angles: (n, k), rad.
+
+        """
         if self._open is not None:
             stamp_ns = np.concatenate([self._open[0], stamp_ns])
             wrench = np.concatenate([self._open[1], wrench])
@@ -89,7 +104,12 @@ class CellReducer:
             self._parts.append(_reduce(stamp_ns[:last], wrench[:last], angles[:last], starts[:-1]))
 
     def finish(self) -> Cells:
-        """All cells so far; the last one may be short."""
+        """Collect all cells so far.
+
+        Returns:
+            The cells; the last one may be short.
+
+        """
         parts = list(self._parts)
         if self._open is not None:
             parts.append(_reduce(*self._open, np.zeros(1, dtype=np.intp)))
@@ -159,13 +179,30 @@ class StillPhases:
         return len(self.start_ns)
 
     def part(self, rows: slice) -> StillPhases:
-        """Return some of the phases; `arm_still` and `noise` stay those of all."""
+        """Select some of the phases; `arm_still` and `noise` stay those of all.
+
+        Args:
+            rows: which phases.
+
+        Returns:
+            Those phases.
+
+        """
         columns = ("start_ns", "end_ns", "samples", "mean", "std_of_mean", "angles")
         return replace(self, **{name: getattr(self, name)[rows] for name in columns})
 
 
 def find_still_phases(cells: Cells) -> StillPhases:
-    """Return the phases in which the arm was still and the wrench steady."""
+    """Find the phases in which the arm was still and the wrench steady.
+
+    Args:
+        cells: of a whole recording, in order.
+
+    Returns:
+        Phases, each within `_MAX_DURATION_S` and `_MAX_TURN_RAD`; none, with noise of NaN, if the
+        arm never stood still.
+
+    """
     arm_still, joined = _arm_still(cells)
     steady = joined & _steady(cells, joined)
     phases = []

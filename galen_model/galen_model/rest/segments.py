@@ -41,9 +41,19 @@ from galen_model.arrays import Array, runs
 
 
 def allowed_travel(max_speed: Any, window_s: float, quantum: Any, steps: float = 1.0) -> Any:
-    """Return how far a joint at rest may go in a window, m or rad.
+    """Compute how far a joint at rest may go in a window.
 
     A range over many samples holds a step of the encoder at both of its ends: steps = 2.
+
+    Args:
+        max_speed: of one joint or of each (n,), m/s or rad/s.
+        window_s: length of the window.
+        quantum: step of the encoder, one or of each joint (n,), m or rad.
+        steps: how many of the encoder's steps are allowed beside the speed.
+
+    Returns:
+        Travel, m or rad, in the shape of `max_speed` and `quantum`.
+
     """
     return max_speed * window_s + steps * quantum
 
@@ -86,11 +96,21 @@ def rest_by_joints(
     *,
     arm: Arm,
 ) -> list[slice]:
-    """Return the rows of each rest segment, in order.
+    """Find the rest segments of a recording by its joints.
 
-    stamp_ns (n,) in the order received; joints (n, d) of the arm, m and rad. A row that is not
-    finite counts as motion; a joint of which no row is finite does not count. Inside a segment the
-    stamps never go back, and where they repeat, the rows belong to it all the same.
+    A row that is not finite counts as motion; a joint of which no row is finite does not count.
+    Inside a segment the stamps never go back, and where they repeat, the rows belong to it all the
+    same.
+
+    Args:
+        stamp_ns: (n,) in the order received.
+        joints: (n, d) of the arm, m and rad.
+        settings: limits; None: the defaults.
+        arm: whose joints they are, for the limits that the settings leave open.
+
+    Returns:
+        Rows of each segment, in order.
+
     """
     settings = settings or JointRest()
     known = np.isfinite(joints).any(axis=0)
@@ -118,7 +138,17 @@ def rest_by_joints(
 def rest_by_direction(
     time: Array, gravity_sensor: Array, settings: DirectionRest | None = None
 ) -> list[slice]:
-    """Return the rows of each rest segment; time (n,) s increasing, gravity (n, 3)."""
+    """Find the rest segments of a table by gravity's direction alone.
+
+    Args:
+        time: (n,), s, increasing.
+        gravity_sensor: (n, 3) along the sensor's axes, of any length but zero.
+        settings: limits; None: the defaults.
+
+    Returns:
+        Rows of each segment, in order, without the rims.
+
+    """
     settings = settings or DirectionRest()
     if len(time) < 2:
         return []
@@ -172,10 +202,19 @@ class PoseRecord:
 
 
 def average_pose(joints: Array, wrenches: Array, stamp_ns: int = 0) -> PoseRecord:
-    """Average joint states (m, n) and wrenches (n, 6), n >= 4, around `stamp_ns`.
+    """Average joint states and wrenches of one pose.
 
     The std is never less than that of rounding to the sensor's quantum (quantum / sqrt 12), so
     that a reading that sits on one step isn't taken for one without error.
+
+    Args:
+        joints: joint states (m, d), m and rad.
+        wrenches: (n, 6) in ft_sensor, N and N.m, n >= 4.
+        stamp_ns: middle of the window.
+
+    Returns:
+        Means, spans and scatter.
+
     """
     half = len(wrenches) // 2
     rounding = SENSOR.quantum / np.sqrt(12.0)
@@ -191,7 +230,17 @@ def average_pose(joints: Array, wrenches: Array, stamp_ns: int = 0) -> PoseRecor
 
 
 def joint_motion_fault(record: PoseRecord, settings: StillnessSettings, arm: Arm) -> str:
-    """Name the joints that moved inside the window; empty when none did."""
+    """Name the joints that moved inside the window.
+
+    Args:
+        record: the pose.
+        settings: largest span of each joint.
+        arm: whose joint names and units go into the text.
+
+    Returns:
+        A clause for each joint that moved; empty when none did.
+
+    """
     moved = np.flatnonzero(record.joint_span > settings.joint_motion)
     return "; ".join(
         f"{arm.joint_names[k]} moved by {record.joint_span[k]:.2g} {arm.units[k]} while averaging"
@@ -202,13 +251,22 @@ def joint_motion_fault(record: PoseRecord, settings: StillnessSettings, arm: Arm
 def wrench_fault(
     record: PoseRecord, sweep: Sequence[PoseRecord], settings: StillnessSettings
 ) -> str:
-    """Say in which axis the wrench was less still than in the sweep's poses; empty when in none.
+    """Name the axis in which the wrench was less still than in the sweep's poses.
 
-    `sweep` holds the records to compare with, `record` among them: their medians forgive up to
-    half of them being touched. The noise of the halves' difference is the larger of
-    2 std / sqrt(n), true for white noise, and of what the sweep's own differences show, true for
-    a filtered or drifting sensor. The limit of the scatter is never so low that the std of few
-    samples, whose own relative error is 1 / sqrt(2 (n - 1)), would cross it by chance.
+    The medians over the sweep forgive up to half of its poses being touched. The noise of the
+    halves' difference is the larger of 2 std / sqrt(n), true for white noise, and of what the
+    sweep's own differences show, true for a filtered or drifting sensor. The limit of the scatter
+    is never so low that the std of few samples, whose own relative error is 1 / sqrt(2 (n - 1)),
+    would cross it by chance.
+
+    Args:
+        record: the pose to judge.
+        sweep: records to compare with, `record` among them.
+        settings: limits of scatter and trend.
+
+    Returns:
+        A clause on the worst axis; empty when none is beyond its limit.
+
     """
     std = np.median([r.wrench_std for r in sweep], axis=0)
     white = 2.0 * std / np.sqrt(record.samples)

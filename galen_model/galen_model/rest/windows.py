@@ -82,11 +82,18 @@ class StillWindows:
         self._first: tuple[float, ...] = ()
 
     def push(self, stamp_ns: int, angles: Sequence[float], wrench: Array) -> StillWindow | None:
-        """Take angles (k,), rad, and a wrench (6,); return a window when one is full.
-
-        The wrench must not be written into later.
+        """Take one sample; give a window when one is full.
 
         A stamp that is not later than the one before is passed over.
+
+        Args:
+            stamp_ns: time of the sample.
+            angles: joints that count (k,), rad.
+            wrench: (6,), N and N.m; it must not be written into later.
+
+        Returns:
+            The window that this sample completes, or None.
+
         """
         last_ns, self._last_ns = self._last_ns, stamp_ns
         if last_ns is not None and stamp_ns <= last_ns:

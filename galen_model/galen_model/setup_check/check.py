@@ -121,7 +121,12 @@ class SetupFinding:
         return ". ".join(part[0].upper() + part[1:] for part in parts)
 
     def to_json(self) -> dict[str, Any]:
-        """Return it for a program; SI units."""
+        """Describe the finding for a program.
+
+        Returns:
+            Texts and numbers, SI units.
+
+        """
         return {
             "trouble": self.trouble,
             "residual": _by_kind(self.fit),
@@ -195,7 +200,16 @@ def _dead_axes(readings: StillReadings) -> tuple[str, ...]:
 
 
 def check_fit(readings: StillReadings, mistake: Corrected) -> SetupFinding | None:
-    """Return the finding where one mistake explains readings that no load fits; else None."""
+    """Check whether one mistake explains readings that no load fits.
+
+    Args:
+        readings: n still poses with one load.
+        mistake: the same readings without it.
+
+    Returns:
+        The finding; None where it does not explain them.
+
+    """
     fit = fit_load(readings)
     one = SetupExplanation((mistake,), fit_load(mistake.readings, mistake.parameters))
     return SetupFinding(fit, (one,)) if _explains(one, fit, None) else None
@@ -203,6 +217,10 @@ def check_fit(readings: StillReadings, mistake: Corrected) -> SetupFinding | Non
 
 def require_setup(readings: StillReadings, noise: Array | None = None) -> None:
     """Check as `check_setup` does.
+
+    Args:
+        readings: n still poses with one load.
+        noise: (6,) standard deviation of an averaged reading, N and N.m; None: not known.
 
     Raises:
         SetupError: the set-up is wrong, or no load explains the readings.

@@ -59,7 +59,15 @@ class Corrected:
 
 
 def units(readings: StillReadings) -> Iterator[Corrected]:
-    """Yield torques in N.mm and forces in kgf undone."""
+    """Undo torques in N.mm and forces in kgf.
+
+    Args:
+        readings: as reported.
+
+    Yields:
+        The readings without each mistake.
+
+    """
     one = np.eye(3)
     weigh = "weigh the tool, or measure how far its centre is from the sensor"
     yield Corrected(
@@ -77,7 +85,15 @@ def units(readings: StillReadings) -> Iterator[Corrected]:
 
 
 def axes(readings: StillReadings) -> Iterator[Corrected]:
-    """Yield undone what the driver or the description may do to the reading's axes."""
+    """Undo what the driver or the description may do to the reading's axes.
+
+    Args:
+        readings: as reported.
+
+    Yields:
+        The readings without each mistake.
+
+    """
     one, minus = np.eye(3), -np.eye(3)
     yield Corrected(
         readings.mapped(minus, minus),
@@ -157,7 +173,15 @@ def _turned_element(readings: StillReadings) -> Iterator[Corrected]:
 
 
 def orientation(readings: StillReadings) -> Iterator[Corrected]:
-    """Yield undone what may be wrong with the sensor's orientation."""
+    """Undo what may be wrong with the sensor's orientation.
+
+    Args:
+        readings: as reported.
+
+    Yields:
+        The readings without each mistake.
+
+    """
     arm = readings.arm
     if readings.angles is not None:
         yield from _joints(readings, readings.angles)
@@ -262,7 +286,15 @@ def _frames(readings: StillReadings, angles: Array) -> Iterator[Corrected]:
 
 
 def gravity(readings: StillReadings) -> Iterator[Corrected]:
-    """Yield the readings under the direction of gravity in the base that forces show."""
+    """Turn gravity into the direction in the base that forces show.
+
+    Args:
+        readings: as reported.
+
+    Yields:
+        The readings under that gravity; nothing where it is the expected one, or not shown.
+
+    """
     if readings.rotation is None or len(readings.wrench) < 4:
         return
     count = len(readings.wrench)
@@ -335,9 +367,16 @@ def _mapped_axis(row: Array) -> str:
 
 
 def known_load_mistakes(readings: StillReadings) -> Iterator[Corrected]:
-    """Yield the mistakes that a few readings of a known load tell, without a fit.
+    """Undo the mistakes that a few readings of a known load show, without a fit.
 
     Of a sensing element turned in its frame those turns that people make.
+
+    Args:
+        readings: as reported.
+
+    Yields:
+        The readings without each mistake.
+
     """
     yield from axes(readings)
     yield from units(readings)

@@ -43,22 +43,55 @@ class StillReadings:
 
     @staticmethod
     def of_poses(poses: StillPoses) -> StillReadings:
-        """Return the readings of a sweep."""
+        """Make the readings of a sweep.
+
+        Args:
+            poses: the sweep.
+
+        Returns:
+            Its readings, with angles and rotations.
+
+        """
         return at_angles(poses.wrench, poses.angles, poses.arm)
 
     def turned(self, rotation: Array) -> StillReadings:
-        """Return the readings at other orientations R_base_sensor (n, 3, 3)."""
+        """Change the orientations; gravity in the sensor follows.
+
+        Args:
+            rotation: R_base_sensor (n, 3, 3).
+
+        Returns:
+            The readings there; the angles stay.
+
+        """
         gravity = np.einsum("nji,j->ni", rotation, self.arm.gravity_m_s2)
         return replace(self, rotation=rotation, gravity=gravity)
 
     def under(self, gravity_m_s2: Array) -> StillReadings:
-        """Return the readings under another gravity (3,) in the base, m/s^2."""
+        """Change gravity in the base; gravity in the sensor follows.
+
+        Args:
+            gravity_m_s2: (3,) in the base's frame.
+
+        Returns:
+            The readings under it.
+
+        """
         assert self.rotation is not None
         gravity = np.einsum("nji,j->ni", self.rotation, gravity_m_s2)
         return replace(self, gravity=gravity, arm=replace(self.arm, gravity_m_s2=gravity_m_s2))
 
     def mapped(self, force: Array, torque: Array) -> StillReadings:
-        """Return the readings with forces and torques mapped, by (3, 3) or (n, 3, 3)."""
+        """Map forces and torques.
+
+        Args:
+            force: (3, 3) or (n, 3, 3), applied to forces from the left.
+            torque: (3, 3) or (n, 3, 3), applied to torques from the left.
+
+        Returns:
+            The readings with other wrenches.
+
+        """
         parts = [
             np.einsum("...ij,...j->...i", matrix, part)
             for matrix, part in ((force, self.wrench[:, :3]), (torque, self.wrench[:, 3:]))
@@ -67,7 +100,17 @@ class StillReadings:
 
 
 def at_angles(wrench: Array, angles: Array, arm: Arm) -> StillReadings:
-    """Return readings (n, 6) at the turning joints' angles (n, k), rad."""
+    """Make readings of the turning joints' angles.
+
+    Args:
+        wrench: (n, 6), N and N.m.
+        angles: (n, k), rad.
+        arm: whose joints they are.
+
+    Returns:
+        The readings, with gravity and rotation by the arm.
+
+    """
     return StillReadings(wrench, arm.gravity_in_sensor(angles), arm, arm.rotation(angles), angles)
 
 
@@ -125,6 +168,9 @@ def fit_load(readings: StillReadings, further: int = 0) -> LoadFit:
     Args:
         readings: n still poses.
         further: how many parameters were fitted before (a direction of gravity has 2).
+
+    Returns:
+        The load, with residuals of the poses that the fit kept.
 
     """
     count = len(readings.wrench)
