@@ -160,8 +160,8 @@ def evaluate(
 
     Returns:
         Counts and verdicts of the command's summary; wall time, s; processor time, s, and largest
-            resident set, MB, of the command and each process of the cluster; whether a worker was
-            killed.
+        resident set, MB, of the command and each process of the cluster; whether a worker was
+        killed.
 
     Raises:
         TimeoutError: The command takes longer than half an hour.

@@ -244,7 +244,7 @@ def report(cases: Sequence[Known], settings: Settings) -> dict[str, Any]:
 
     Returns:
         By kind and strength: `cases`, share `right` with a probability over 0.5,
-            `mean_probability`.
+        `mean_probability`.
 
     """
     rows: dict[str, list[tuple[float, bool]]] = {}

@@ -108,7 +108,7 @@ def measure(change: Callable[[Any, Any], None], log_dir: Path) -> Relay:
 
     Returns:
         The relay, its node destroyed: times of the first wrench and of the verdict, its sentence,
-            and how many wrenches went out before.
+        and how many wrenches went out before.
 
     Raises:
         ProcessError: A process ended.

@@ -99,7 +99,7 @@ def differences(robot: Robot, poses: int) -> Array:
 
     Returns:
         Largest absolute difference (4,) of position (m), rotation matrix, gravity in the sensor
-            (m/s²), and Jacobian of the sensor's origin (m, or 1).
+        (m/s²), and Jacobian of the sensor's origin (m, or 1).
 
     Raises:
         GalenError: The descriptions of robots aren't installed.

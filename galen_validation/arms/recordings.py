@@ -106,7 +106,7 @@ class Ur5InMujoco:
 
         Returns:
             Times (n,), s, 1 ms apart; joints (rad), rates (rad/s) and wrench on the sensor (N and
-                N.m in tool0), (n, 3, 6).
+            N.m in tool0), (n, 3, 6).
 
         """
         model, data, known = self._model, mujoco.MjData(self._model), mujoco.MjData(self._known)

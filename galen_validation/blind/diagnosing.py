@@ -37,7 +37,7 @@ def diagnosed(recording: Path) -> dict[str, Any]:
 
     Returns:
         Answers in the form of `diagnosis.json` by method; the program's is the last, with its wall
-            time `seconds`.
+        time `seconds`.
 
     Raises:
         GalenError: The recording can't be read or diagnosed.

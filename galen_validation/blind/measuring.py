@@ -133,7 +133,7 @@ def draw_tolerance(
 
     Returns:
         By the names of TOLERANCES, differences (count,) in the unit of the name: m, rad, kg, kg.m,
-            s, or shares.
+        s, or shares.
 
     """
     rng = np.random.default_rng([seed, 2])

@@ -406,7 +406,7 @@ def calibration(answers: Sequence[tuple[Mapping[str, float], str]]) -> dict[str,
 
     Returns:
         `calibration_error`, `calibration_error_by_chance` and `brier`; None each where there are no
-            answers.
+        answers.
 
     """
     if not answers:

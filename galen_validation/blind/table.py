@@ -52,7 +52,7 @@ def tables(cases: Mapping[str, Sequence[Answered]], made: str) -> dict[str, str]
 
     Returns:
         Markdown by name: `made`, `score`, `classes`, `members`, `arms`, `notes`; empty where there
-            is nothing to show.
+        is nothing to show.
 
     """
     scores = {tool: score(found) for tool, found in cases.items()}
