@@ -70,9 +70,12 @@ def localize(
     Args:
         rows: N rows.
         residual: (N,), whitened, unknowns fitted.
-        floor: mean square that noise alone gives a row.
+        floor: Mean square that noise alone gives a row.
         healthy: (N, q), how rows change by each of q tolerances of a healthy arm, unknowns
             projected out; None for an arm that is the nominal one.
+
+    Returns:
+        JSON content: shares by channel, bag and regime, poses, and `p` and `ratio` by the same.
 
     """
     found: dict[str, Any] = {"p": {}, "ratio": {}}
@@ -249,7 +252,7 @@ def compare_cells(
     level_std: float = _LEVEL_STD,
     seed: int = _SEED,
 ) -> tuple[Array, Array, Array]:
-    """Test K = `cells` cells at once; returns mean square over the floor, excess and p, each (K,).
+    """Test K = `cells` cells at once.
 
     Args:
         energy: (N,), squares over the floor.
@@ -259,9 +262,12 @@ def compare_cells(
         spread: `block_spread`'s.
         healthy: (N, q), how rows change by a healthy arm's deviations, each by one tolerance, in
             units of the rows' noise.
-        draws: of the null; no p-value is below 1 / (draws + 1).
-        level_std: standard deviation of the noise's estimated variance, over it.
-        seed: of the draws.
+        draws: Of the null; no p-value is below 1 / (draws + 1).
+        level_std: Standard deviation of the noise's estimated variance, over it.
+        seed: Of the draws.
+
+    Returns:
+        Mean square over the floor, excess and p, each (K,); 1, 0 and 1 of an empty cell.
 
     """
     total = np.bincount(cell, minlength=cells).astype(float)

@@ -145,11 +145,14 @@ def specification_of(
     """Return what files and presets say together, the first before the others.
 
     Args:
-        given: files, and names of presets.
-        known: by effect that has a limit, the names that a map of it may have; None for any.
+        given: Files, and names of presets.
+        known: By effect that has a limit, the names that a map of it may have; None for any.
+
+    Returns:
+        The limits of all, over those of the preset `default` unless that or `galen` is among them.
 
     Raises:
-        GalenError: naming the file and the key.
+        GalenError: Naming the file and the key.
 
     """
     found = [_read(one, known) for one in given]

@@ -72,7 +72,7 @@ def unit_of(name: str, axis: str | None = None) -> _Unit:
     """Return the unit that people read a parameter in.
 
     Args:
-        name: The parameter's name in the contract, which ends with its SI unit.
+        name: The parameter's name in the contract; its ending is an SI unit where it has one.
         axis: Of the wrench, where it has one.
 
     Returns:
