@@ -63,7 +63,7 @@ class Floor:
     source: str
 
     def alone(self, step_s: float) -> float:
-        """Return which part of readings tells as much as independent ones would.
+        """Return which part of readings is worth as much as independent ones.
 
         Args:
             step_s: Time between readings.
