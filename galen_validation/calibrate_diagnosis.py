@@ -236,15 +236,14 @@ def _plain(parameters: dict[str, Any]) -> dict[str, Any]:
 
 
 def report(cases: Sequence[Known], settings: Settings) -> dict[str, Any]:
-    """Count how often what was there was the likeliest, and how sure, by kind and strength.
+    """Count how often what was there has a probability over 0.5, by kind and strength.
 
     Args:
         cases: Calibration cases.
         settings: Settings of the posterior.
 
     Returns:
-        By kind and strength: `cases`, share `right` with a probability over 0.5,
-        `mean_probability`.
+        By kind and strength: `cases`, share `right`, `mean_probability` of what was there.
 
     """
     rows: dict[str, list[tuple[float, bool]]] = {}
