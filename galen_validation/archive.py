@@ -46,7 +46,14 @@ _WAIT_S = 1800.0
 
 
 def write_bag(path: Path, tool: CalibrationFile, seed: int) -> None:
-    """Write 7.2 s of still poses, some with a load that is not the file's."""
+    """Write 7.2 s of still poses, some with a load that is not the file's.
+
+    Args:
+        path: Bag to write.
+        tool: Calibration that predicts the wrench.
+        seed: Of poses and noise; bags of every fourth seed have a load 10 % larger.
+
+    """
     rng = np.random.default_rng(seed)
     angles = np.repeat(rng.uniform(-0.9, 0.9, (_POSES, 2)), _HOLD, axis=0)
     wrench = tool.predict(angles) * (1.0 + 0.1 * (seed % 4 == 0))
@@ -64,7 +71,17 @@ def write_bag(path: Path, tool: CalibrationFile, seed: int) -> None:
 
 @contextlib.contextmanager
 def running(folder: Path) -> Iterator[tuple[list[subprocess.Popen[bytes]], Path]]:
-    """Run a server, a scheduler and two workers; gives the last three and the scheduler's file."""
+    """Run a server, a scheduler and two workers, and end them at the exit.
+
+    The environment gets the server's address for clients of S3.
+
+    Args:
+        folder: Existing folder for the log, the port, the scheduler's file and the workers' data.
+
+    Yields:
+        Processes of the scheduler and both workers, and the scheduler's file.
+
+    """
     server = (
         "import logging, os, time; logging.disable(); from moto.server import ThreadedMotoServer;"
         "s = ThreadedMotoServer('127.0.0.1', 0, verbose=False); s.start();"
@@ -106,7 +123,14 @@ def running(folder: Path) -> Iterator[tuple[list[subprocess.Popen[bytes]], Path]
 
 
 def fill(store: Any, bags: Sequence[Path], count: int) -> None:
-    """Put the bags on the store again and again, until there are so many."""
+    """Put the bags on the store again and again, as `archive/bags/run_NUMBER`.
+
+    Args:
+        store: Filesystem of fsspec.
+        bags: Local bags, taken in turn.
+        count: Number of bags on the store.
+
+    """
     contents = [{file.name: file.read_bytes() for file in bag.iterdir()} for bag in bags]
     for first in range(0, count, 250):
         store.pipe(
@@ -128,11 +152,19 @@ def evaluate(
     """Run the command, and kill a worker when so many results are there.
 
     Args:
-        arguments: the command's.
-        cluster: scheduler and workers.
-        victim: the worker that is killed.
-        store: where the results are.
-        death_at: so many of them.
+        arguments: The command's.
+        cluster: Scheduler and workers.
+        victim: The worker that is killed; None for none.
+        store: Filesystem where the results are.
+        death_at: Number of results at which the worker is killed.
+
+    Returns:
+        Counts and verdicts of the command's summary; wall time, s; processor time, s, and largest
+        resident set, MB, of the command and each process of the cluster; whether a worker was
+        killed.
+
+    Raises:
+        TimeoutError: The command takes longer than half an hour.
 
     """
     started_s = time.monotonic()
@@ -168,7 +200,20 @@ def evaluate(
 
 
 def measure(count: int, folder: Path) -> list[dict[str, Any]]:
-    """Measure one archive; raises AssertionError where a result is lost, there twice or wrong."""
+    """Measure one archive, with a worker killed and again with nothing to do.
+
+    Args:
+        count: Number of bags.
+        folder: Existing folder for bags, calibration and the cluster's files.
+
+    Returns:
+        What `evaluate` returns of the first and of the second run.
+
+    Raises:
+        AssertionError: A result is missing, there twice, or other than that of the same bag here.
+        TimeoutError: A run takes longer than half an hour.
+
+    """
     tool = folder / "tool.json"
     write_calibration(tool, bench_tool())
     bags = [folder / f"bag_{seed}" for seed in range(_KINDS)]

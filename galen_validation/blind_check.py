@@ -117,7 +117,17 @@ def build_parser() -> argparse.ArgumentParser:
 
 
 def make(arguments: argparse.Namespace, folder: Path, generate: Generate = generate) -> None:
-    """Make the set; raises GalenError."""
+    """Make the set and print the hash of its labels.
+
+    Args:
+        arguments: The command's options.
+        folder: The set, new or begun with the same options.
+        generate: Makes a recording in a directory; tests replace it.
+
+    Raises:
+        GalenError: The set can't be made.
+
+    """
     check_parent(folder)
     wanted = {name: getattr(arguments, name) for name in ("per_class", "healthy", "short")}
     published = blind_protocol.make(folder, wanted, arguments.seed, arguments.workers, generate)
@@ -130,7 +140,22 @@ def run(
     command: Sequence[str] = DIAGNOSING,
     generate: Generate = generate,
 ) -> int:
-    """Make a set, diagnose and score it; returns the exit code; raises GalenError."""
+    """Make a set, diagnose and score it.
+
+    Args:
+        arguments: The command's options.
+        folder: The set; answers go into FOLDER.answers beside it.
+        command: Start of the diagnosing process's command line.
+        generate: Makes a recording in a directory.
+
+    Returns:
+        The exit code, 0.
+
+    Raises:
+        GalenError: Making or diagnosing fails, there is no valid answer, or one of a short set is
+            wrong.
+
+    """
     make(arguments, folder, generate)
     blind_protocol.diagnose(folder, arguments.workers, command)
     kept = "kept" if confine.available() else "can't keep"
@@ -150,7 +175,22 @@ def run(
 def scored(
     folder: Path, tools: Sequence[Path], pages: Sequence[Path] = (), as_json: bool = False
 ) -> list[Answered]:
-    """Score tools side by side and print that; returns the first one's; raises GalenError."""
+    """Score tools side by side and print that.
+
+    Args:
+        folder: The set.
+        tools: Folders of answers; tools go by the folders' names.
+        pages: Markdown files whose tables are written anew.
+        as_json: Whether to print JSON in place of tables.
+
+    Returns:
+        Labels with the answers of the first tool.
+
+    Raises:
+        GalenError: Labels aren't those that were sealed, two folders have the same name, a page
+            can't be filled, or the first tool has no valid answer.
+
+    """
     plan, labels = open_labels(folder)
     cases = {tool.resolve().name: read_answers(labels, tool) for tool in tools}
     if len(cases) < len(tools):
@@ -183,7 +223,15 @@ def _made(folder: Path, plan: dict[str, Any], recordings: int) -> str:
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit code."""
+    """Entry point.
+
+    Args:
+        args: Command line; None for the process's own.
+
+    Returns:
+        The exit code.
+
+    """
     arguments = build_parser().parse_args(args)
 
     def work() -> int:

@@ -60,7 +60,15 @@ class Known:
     scored: tuple[Scored, ...]
 
     def chance(self, of: Probabilities) -> float:
-        """Probability of what was there: sets of effects that hold one acceptable name for each."""
+        """Return the probability of what was there: sets with one acceptable name for each effect.
+
+        Args:
+            of: Probabilities that settings give this case's hypotheses.
+
+        Returns:
+            0 ... 1; of faint causes half of `none` counts as right, too.
+
+        """
         if self.kind == "none":
             return of.none
         # What looks like a healthy arm may be called so. A faint cause can, just: "none" is half
@@ -88,7 +96,15 @@ class Known:
 
 
 def plan(per_class: int) -> list[Case]:
-    """Cases of all kinds; more of what must not be got wrong."""
+    """Plan cases of all kinds; more of what must not be got wrong.
+
+    Args:
+        per_class: Turns over all kinds; strengths change from turn to turn.
+
+    Returns:
+        Cases of the Galen, with seeds from FIRST_SEED on.
+
+    """
     cases = []
     seed = FIRST_SEED
     for turn in range(per_class):
@@ -116,7 +132,18 @@ def _strengths(turn: int) -> tuple[str, ...]:
 
 
 def collect(case: Case) -> dict[str, Any]:
-    """Make a case's recording, explore it, and tell what a posterior needs."""
+    """Make a case's recording, explore it, and return what a posterior needs.
+
+    Args:
+        case: Case to make, in a folder that is deleted.
+
+    Returns:
+        JSON content: the truth, and the hypotheses that the search scored.
+
+    Raises:
+        GalenError: The recording can't be made or explored.
+
+    """
     with tempfile.TemporaryDirectory() as folder:
         truth = generate(case, Path(folder) / "recording")
         explored = explore(read_recording(Path(folder) / "recording", specification=[CALIBRATED]))
@@ -133,7 +160,15 @@ def collect(case: Case) -> dict[str, Any]:
 
 
 def known(content: dict[str, Any]) -> Known:
-    """Of a file that `collect` left."""
+    """Read what `collect` returned.
+
+    Args:
+        content: Content of a case's JSON file.
+
+    Returns:
+        The case; rows, parameters and D are left out.
+
+    """
     scored = tuple(
         Scored(tuple(one["names"]), one["energy"], one["occam"], one["structure"])
         for one in content["scored"]
@@ -143,7 +178,16 @@ def known(content: dict[str, Any]) -> Known:
 
 
 def loss(cases: Sequence[Known], settings: Settings) -> float:
-    """Mean of -log probability of what was there, kinds counting the same."""
+    """Return the mean of -log probability of what was there.
+
+    Args:
+        cases: Calibration cases.
+        settings: Settings of the posterior.
+
+    Returns:
+        Mean over the pairs of kind and strength, each the mean of its cases.
+
+    """
     of_kind: dict[str, list[float]] = {}
     for case in cases:
         chance = case.chance(posterior(case.scored, settings))
@@ -152,7 +196,16 @@ def loss(cases: Sequence[Known], settings: Settings) -> float:
 
 
 def fitted(cases: Sequence[Known], start: Settings) -> Settings:
-    """Return the settings with the smallest loss beside their prior (Nelder-Mead)."""
+    """Return the settings with the smallest loss beside their prior (Nelder-Mead).
+
+    Args:
+        cases: Calibration cases.
+        start: Settings from which the search starts; the prior is about the defaults.
+
+    Returns:
+        The settings that were found.
+
+    """
     origin = _vector(Settings())
 
     def cost(vector: np.ndarray) -> float:
@@ -183,7 +236,16 @@ def _plain(parameters: dict[str, Any]) -> dict[str, Any]:
 
 
 def report(cases: Sequence[Known], settings: Settings) -> dict[str, Any]:
-    """How often the likeliest was right and how sure, by kind and strength."""
+    """Count how often what was there has a probability over 0.5, by kind and strength.
+
+    Args:
+        cases: Calibration cases.
+        settings: Settings of the posterior.
+
+    Returns:
+        By kind and strength: `cases`, share `right`, `mean_probability` of what was there.
+
+    """
     rows: dict[str, list[tuple[float, bool]]] = {}
     for case in cases:
         chances = posterior(case.scored, settings)
@@ -200,7 +262,15 @@ def report(cases: Sequence[Known], settings: Settings) -> dict[str, Any]:
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit code."""
+    """Entry point.
+
+    Args:
+        args: Command line; None for the process's own.
+
+    Returns:
+        The exit code.
+
+    """
     parser = argparse.ArgumentParser(
         prog="python -m galen_validation.calibrate_diagnosis",
         description=__doc__.split("\n")[0],

@@ -44,7 +44,12 @@ def bench_tool() -> CalibrationFile:
 
 
 def write_bench_tool(tools_dir: Path) -> None:
-    """Write its calibration file into a folder of tools."""
+    """Write the retractor's calibration file.
+
+    Args:
+        tools_dir: Existing folder of tools.
+
+    """
     write_calibration(calibration_path(tools_dir, NAME), bench_tool())
 
 
@@ -67,7 +72,15 @@ def bench_models() -> tuple[SpringModel, SpringModel]:
 
 
 def write_bench_models(folder: Path) -> list[Path]:
-    """Write a model file of both."""
+    """Write a model file of both.
+
+    Args:
+        folder: Existing folder.
+
+    Returns:
+        Files of the springs, and of the springs with plays.
+
+    """
     paths = []
     for model in bench_models():
         paths.append(folder / f"{model.name}.json")

@@ -18,13 +18,31 @@ class PinocchioArm:
         assert tuple(self.model.names[1:]) == GALEN.joint_names
 
     def pose(self, joints: ArrayLike, frame: str = GALEN.sensor_frame) -> tuple[Array, Array]:
-        """R_base_frame (3, 3) and the frame's origin in base_link (3,), m, at joints (5,)."""
+        """Return a frame's pose.
+
+        Args:
+            joints: Joints in the arm's order, (5,), m and rad.
+            frame: Name of the frame in the URDF.
+
+        Returns:
+            R_base_frame (3, 3), and the frame's origin in base_link (3,), m.
+
+        """
         pinocchio.framesForwardKinematics(self.model, self._data, np.asarray(joints, dtype=float))
         placement = self._data.oMf[self.model.getFrameId(frame)]
         return placement.rotation.copy(), placement.translation.copy()
 
     def jacobian(self, joints: ArrayLike, frame: str = TIP_FRAME) -> Array:
-        """Jacobian (6, 5): linear, then angular velocity of the frame in base_link's axes."""
+        """Return a frame's Jacobian.
+
+        Args:
+            joints: Joints in the arm's order, (5,), m and rad.
+            frame: Name of the frame in the URDF.
+
+        Returns:
+            Jacobian (6, 5): linear, then angular velocity of the frame in base_link's axes.
+
+        """
         return np.asarray(
             pinocchio.computeFrameJacobian(
                 self.model,

@@ -81,20 +81,35 @@ class StampLedger:
         self._begun = False
 
     def go_in(self, stamp_ns: int) -> None:
-        """Heard on the input."""
+        """Enter a stamp that was heard on the input.
+
+        Args:
+            stamp_ns: Stamp of the message.
+
+        """
         self._inputs.append(stamp_ns)
 
     def come_out(self, stamp_ns: int) -> None:
-        """Heard on the output."""
+        """Enter a stamp that was heard on the output.
+
+        Args:
+            stamp_ns: Stamp of the message.
+
+        """
         if stamp_ns < self._newest_out:
             self.account.disordered += 1
         self._newest_out = max(self._newest_out, stamp_ns)
         self._outputs.append(stamp_ns)
 
     def settle(self, *, last: bool = False) -> None:
-        """Look at all that is old enough; `last`: at all up to the last that came out.
+        """Compare all stamps that are old enough, and forget them.
 
         The first stretch begins with the first stamp that was heard on both sides.
+
+        Args:
+            last: Whether to compare up to the newest stamp of both sides, and not `allowed_ns`
+                less.
+
         """
         if not self._inputs or not self._outputs:
             return
@@ -126,10 +141,18 @@ _WARM_UP_SHARE = 0.1
 
 
 def slope_per_hour(time_s: Sequence[float], values: Sequence[float]) -> tuple[float, float]:
-    """Slope after the warm-up and its standard error, a hour; of least squares.
+    """Return the slope after the warm-up and its standard error; of least squares.
 
     The error takes neighbouring windows as independent; memory that steps isn't, so that it is too
     small for a process that grew once.
+
+    Args:
+        time_s: Ends of the windows, s.
+        values: One for each window.
+
+    Returns:
+        Slope and standard error in the values' unit per hour; nan of fewer than three values.
+
     """
     first = int(len(time_s) * _WARM_UP_SHARE)
     hours, y = np.array(time_s[first:]) / 3600.0, np.array(values[first:])
@@ -143,7 +166,13 @@ def slope_per_hour(time_s: Sequence[float], values: Sequence[float]) -> tuple[fl
 
 
 def print_report(one: Soaked, console: Console) -> None:
-    """Print streams, memory and delays."""
+    """Print streams, memory and delays.
+
+    Args:
+        one: What was seen of one kind.
+        console: Where to print.
+
+    """
     real = one.kind == "real"
     title = f"{one.seconds / 60:.1f} min of wall time"
     if not real:
@@ -280,7 +309,19 @@ def _stamp_ns(data: bytes) -> int:
 
 
 def memory_mb(pid: int) -> float:
-    """Resident set of a process, MB (Linux)."""
+    """Return the resident set of a process (Linux).
+
+    Args:
+        pid: Its process id.
+
+    Returns:
+        MB, of 1e6 bytes.
+
+    Raises:
+        RuntimeError: The process has ended and wasn't waited for.
+        OSError: There is no such process.
+
+    """
     for line in Path(f"/proc/{pid}/status").read_text(encoding="ascii").splitlines():
         if line.startswith("VmRSS:"):
             return int(line.split()[1]) * 1024 / 1e6
@@ -288,7 +329,23 @@ def memory_mb(pid: int) -> float:
 
 
 def soak(kind: str, seconds: float, speed: float, rate_hz: float, folder: Path) -> Soaked:
-    """Run one kind for so many seconds of wall time; logs go to folder."""
+    """Run one kind of load.
+
+    Args:
+        kind: One of KINDS.
+        seconds: Wall time to watch, s.
+        speed: Simulated over wall time, of `simulated`.
+        rate_hz: Wrenches per second, of `real`.
+        folder: Existing folder for calibration, models and logs.
+
+    Returns:
+        What was seen.
+
+    Raises:
+        ProcessError: A process ended.
+        RuntimeError: Nothing came out for a minute.
+
+    """
     simulated = kind == "simulated"
     write_bench_tool(folder)
     springs = write_bench_models(folder)[0]
@@ -410,7 +467,15 @@ def build_parser() -> argparse.ArgumentParser:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Be the command."""
+    """Be the command.
+
+    Args:
+        arguments: Command line; None for the process's own.
+
+    Returns:
+        Exit code; 1 where a stamp was lost, doubled, unknown or out of order.
+
+    """
     options = build_parser().parse_args(arguments)
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     found = []

@@ -99,7 +99,22 @@ class Relay(Node):
 
 
 def measure(change: Callable[[Any, Any], None], log_dir: Path) -> Relay:
-    """Run the three processes until the verdict; raises TimeoutError without one."""
+    """Run driver, relay and gravcomp_node until the verdict.
+
+    Args:
+        change: Puts the mistake into a wrench (first argument) or joint message (second) in place;
+            the other one is None.
+        log_dir: Folder for the processes' logs.
+
+    Returns:
+        The relay, its node destroyed: times of the first wrench and of the verdict, its sentence,
+        and how many wrenches went out before.
+
+    Raises:
+        ProcessError: A process ended.
+        TimeoutError: No process, answer or verdict within PATIENCE_S.
+
+    """
     with ros_world(), Processes(log_dir) as processes:
         remaps = {"wrench_raw": "true/wrench", "joint_states": "true/joints"}
         processes.start("galen_sim_driver", "sim_driver_node", ros_arguments(remaps=remaps))

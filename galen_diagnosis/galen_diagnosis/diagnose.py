@@ -155,7 +155,20 @@ class Job:
         return self.diagnose(recording, lambda stage, share: None).answer.to_json()
 
     def diagnose(self, place: Place, progress: Callable[[str, float], None]) -> Diagnosis:
-        """Diagnose and write; raises GalenError. progress: called with stage and share."""
+        """Diagnose a recording and write what is asked for.
+
+        Args:
+            place: Path or URL of the recording.
+            progress: Called with the stage and the share of the whole, 0 ... 1.
+
+        Returns:
+            The diagnosis; where it was written, its answer has the corrections.
+
+        Raises:
+            GalenError: The recording or a reference can't be used, its set-up is wrong, or the
+                directory can't be written.
+
+        """
         folder = self.folders.get(place)
         if self.output is not None:
             folder = self.output / f"diagnosis_{name_of(place, self.name_parts)}"
@@ -202,7 +215,17 @@ class Job:
 
 
 def in_driver(recording: DiagnosticRecording, effects: Sequence[Effect]) -> tuple[Effect, ...]:
-    """Return found effects for a driver, which itself has none that are nominal here."""
+    """Return found effects for a driver, which itself has none that are nominal here.
+
+    Args:
+        recording: Its mounting and inertial forces are in the nominal model.
+        effects: Those that were found.
+
+    Returns:
+        Found and nominal effects; inertial forces are those of the whole load. Nothing where
+        nothing was found.
+
+    """
     inertia = recording.inertia_kg_m2
     if not effects:
         return ()
@@ -244,7 +267,15 @@ def _no_pictures(_folder: Path) -> Mapping[str, Path]:
 
 
 def build_parser(kind: Kind = "recording") -> argparse.ArgumentParser:
-    """Return the command's options for a kind of input."""
+    """Return the command's options for a kind of input.
+
+    Args:
+        kind: What the first input is.
+
+    Returns:
+        The parser.
+
+    """
     parser = make_parser(
         "diagnose",
         "Compare data with the nominal model (of recordings the simulator, driven along their"
@@ -362,7 +393,20 @@ def _add_table_options(parser: argparse.ArgumentParser) -> None:
 
 
 def output_folders(inputs: Sequence[Place], output: Path | None) -> dict[Any, Path]:
-    """Return each input's directory; raises GalenError where two would go to one."""
+    """Return each input's directory.
+
+    Args:
+        inputs: Paths or URLs.
+        output: Directory of one input, or in which those of several are; None for the working
+            directory.
+
+    Returns:
+        `diagnosis_NAME` by input, or `output` itself.
+
+    Raises:
+        GalenError: Two inputs would go to one directory.
+
+    """
     folders: dict[Any, Path] = {}
     for path in inputs:
         name = f"diagnosis_{_name(path)}"
@@ -590,7 +634,15 @@ def _first_words(table: Path) -> set[str]:
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit code."""
+    """Entry point.
+
+    Args:
+        args: Command line; None for the process's own.
+
+    Returns:
+        The exit code.
+
+    """
     given = sys.argv[1:] if args is None else list(args)
     kind = _kind(given)
     parser = build_parser(kind)

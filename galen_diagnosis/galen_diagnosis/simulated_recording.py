@@ -84,9 +84,16 @@ _PUSH_POSITIONS = np.array(
 
 
 def sweep_poses(arm: Arm) -> Array:
-    """Return joints (56, n) of a sweep: of the Galen 7 tilts, 8 rolls each, there and back.
+    """Return joints of a sweep: of the Galen 7 tilts, 8 rolls each, there and back.
 
     Of another arm evenly about its middle pose.
+
+    Args:
+        arm: Which is recorded.
+
+    Returns:
+        Joints in the arm's order, (56, n), m and rad.
+
     """
     if arm.delta is None:
         return _about_middle(arm, _POSES, 1.0)
@@ -98,7 +105,15 @@ def sweep_poses(arm: Arm) -> Array:
 
 
 def push_positions(arm: Arm) -> Array:
-    """Return joints (4, n) of the pushes, the first one's the middle pose."""
+    """Return joints of the pushes, the first one's the middle pose.
+
+    Args:
+        arm: Which is recorded.
+
+    Returns:
+        Joints in the arm's order, (4, n), m and rad.
+
+    """
     if arm.delta is not None:
         return _PUSH_POSITIONS
     return np.vstack([_middle(arm)[0], _about_middle(arm, len(_PUSH_POSITIONS) - 1, 0.5)])
@@ -423,7 +438,15 @@ def _story(name: str, arm: Arm) -> tuple[tuple[Effect, ...], int]:
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit code."""
+    """Entry point.
+
+    Args:
+        args: Command line; None for the process's own.
+
+    Returns:
+        The exit code.
+
+    """
     parser = make_parser(
         "simulated_recording",
         "Make a recording that shows one of the 2019 report's stories, or one effect.",

@@ -91,7 +91,20 @@ def kinematics() -> str:
 
 
 def differences(robot: Robot, poses: int) -> Array:
-    """Return the largest (4,) of position, rotation, gravity in the sensor, Jacobian."""
+    """Return an arm's largest differences to Pinocchio on random poses within its limits.
+
+    Args:
+        robot: The arm and its frames.
+        poses: Number of poses.
+
+    Returns:
+        Largest absolute difference (4,) of position (m), rotation matrix, gravity in the sensor
+        (m/s²), and Jacobian of the sensor's origin (m, or 1).
+
+    Raises:
+        GalenError: The descriptions of robots aren't installed.
+
+    """
     arm, model = robot.arm, pinocchio.buildModelFromXML(robot.path.read_text(encoding="utf-8"))
     data = model.createData()
     base, sensor = (model.getFrameId(name) for name in (robot.base_frame, robot.sensor_frame))

@@ -34,7 +34,16 @@ is that of one reading, rounding included.
 
 
 def document(old: str, made: dict[str, str]) -> str:
-    """Return the text with the parts that were made (name to Markdown), the others as in `old`."""
+    """Return the text with the parts that were made, the others as they were.
+
+    Args:
+        old: The present text; empty for none.
+        made: Markdown by the part's name in `PARTS`.
+
+    Returns:
+        The whole document; parts that are in neither are left out.
+
+    """
     held = dict(re.findall(r"^## (.+?)\n\n(.*?)\n*(?=^## |\Z)", old, re.MULTILINE | re.DOTALL))
     held |= {PARTS[name][0]: text for name, text in made.items()}
     sections = [f"## {title}\n\n{held[title]}\n" for title, _ in PARTS.values() if title in held]
@@ -42,7 +51,15 @@ def document(old: str, made: dict[str, str]) -> str:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Be the command; 1 where a part could not be made, which is then left as it was."""
+    """Make parts of the document; one that can't be made is left as it was.
+
+    Args:
+        arguments: Command line; None for the process's own.
+
+    Returns:
+        Exit code; 1 where a part could not be made.
+
+    """
     parser = argparse.ArgumentParser(prog="make arms", description=__doc__)
     parser.add_argument("part", nargs="*", help=f"of {', '.join(PARTS)} (default: all)")
     chosen = parser.parse_args(arguments).part or list(PARTS)

@@ -82,7 +82,15 @@ class Ur5InMujoco:
         )
 
     def hold(self, joints: Array) -> Array:
-        """Return the wrench (6,) on the sensor at rest at joints (6,), N and N.m."""
+        """Return the wrench on the sensor at rest.
+
+        Args:
+            joints: Joints, (6,), rad.
+
+        Returns:
+            Wrench about tool0's origin in its axes, (6,), N and N.m.
+
+        """
         data = mujoco.MjData(self._model)
         data.qpos[:] = joints
         for _ in range(2):  # the second time against gravity's own torques
@@ -91,7 +99,16 @@ class Ur5InMujoco:
         return -np.array(data.sensordata)
 
     def run(self, course: PPoly | BPoly) -> tuple[Array, Array]:
-        """Follow a course of joints over time, s: times; joints, rates, wrench (n, 3, 6)."""
+        """Follow a course of joints.
+
+        Args:
+            course: Joints (6,), rad, over time, s; its first and last knot are start and end.
+
+        Returns:
+            Times (n,), s, 1 ms apart; joints (rad), rates (rad/s) and wrench on the sensor (N and
+            N.m in tool0), (n, 3, 6).
+
+        """
         model, data, known = self._model, mujoco.MjData(self._model), mujoco.MjData(self._known)
         at_s = np.arange(course.x[0], course.x[-1], _STEP_S)
         wanted, speed, thrust = (course(at_s, order) for order in range(3))
@@ -154,7 +171,19 @@ def ur5_in_mujoco() -> str:
 
 
 def command(module: str, *arguments: str) -> dict[str, Any]:
-    """Return the answer of one of the suite's commands; raises GalenError where it fails."""
+    """Run one of the suite's commands with `--json`.
+
+    Args:
+        module: Its module, as after `python -m`.
+        *arguments: Its options.
+
+    Returns:
+        The JSON object that it prints.
+
+    Raises:
+        GalenError: The command ends with another exit code than 0.
+
+    """
     line = [sys.executable, "-m", module, *arguments, "--json"]
     done = subprocess.run(line, capture_output=True, text=True, check=False)
     if done.returncode:
@@ -163,20 +192,46 @@ def command(module: str, *arguments: str) -> dict[str, Any]:
 
 
 def errors(found: Mapping[str, Any], true: Load) -> str:
-    """Return the errors of mass and centre over their standard deviations."""
+    """Return the errors of mass and centre over their standard deviations.
+
+    Args:
+        found: A calibration's answer: `mass_kg`, `com_m`, `mass_std_kg`, `com_std_m`.
+        true: The load that was simulated.
+
+    Returns:
+        Four numbers with sign: mass, x, y, z.
+
+    """
     error = np.array([found["mass_kg"], *found["com_m"]]) - [true.mass_kg, *true.com_m]
     over = error / [found["mass_std_kg"], *found["com_std_m"]]
     return ", ".join(f"{value:+.1f}" for value in over)
 
 
 def over_noise(answer: Mapping[str, Any], key: str) -> Array:
-    """Return one of `evaluate`'s RMS (6,) over the noise of one reading, rounding included."""
+    """Return one of `evaluate`'s RMS over the noise of one reading, rounding included.
+
+    Args:
+        answer: What `evaluate` prints as JSON.
+        key: Name of the RMS under `rmse`.
+
+    Returns:
+        Ratios by axis, (6,).
+
+    """
     noise = np.sqrt(SENSOR.noise_std**2 + SENSOR.quantum**2 / 12.0)
     return np.asarray(np.array(list(answer["rmse"][key].values())) / noise)
 
 
 def stops(poses: Array) -> BPoly:
-    """Return a course that stands at home, at each of the poses (n, 6), and at home."""
+    """Return a course that stands at home, at each of the poses, and at home.
+
+    Args:
+        poses: Joints, (n, 6), rad.
+
+    Returns:
+        Joints over time, s; moves between are of the fifth degree.
+
+    """
     poses = np.concatenate([[HOME], poses, [HOME]])
     arrive_s = np.arange(len(poses)) * (_STAY_S + _MOVE_S)
     knots = np.stack([arrive_s, arrive_s + _STAY_S], axis=1).ravel()
@@ -257,7 +312,18 @@ def _record(parts: list[Array], rows: slice) -> MotionRecord:
 
 
 def held_out(known: MotionRecord, asked: MotionRecord, *, weighted: bool) -> Array:
-    """Return the RMS (6,) of what is asked, each block by a fit to what is known outside of it."""
+    """Return the RMS of residuals in blocks of time that the fit has not seen.
+
+    Args:
+        known: Record that is fitted, outside of each block.
+        asked: Record whose residuals are taken, inside of each block.
+        weighted: Whether axes are weighted by their residuals, in three turns; else all count
+            alike.
+
+    Returns:
+        RMS by axis, (6,), N and N.m.
+
+    """
     edges = np.linspace(asked.time_s[0], asked.time_s[-1], _BLOCKS + 1)[1:-1]
     block, others = (np.searchsorted(edges, part.time_s) for part in (asked, known))
     rows, all_rows = _rows(known), _rows(asked)
@@ -283,7 +349,17 @@ def _rows(record: MotionRecord) -> Array:
 
 
 def axes_table(first: str, rows: Mapping[str, Array], unit: float = 1e3) -> str:
-    """Make a Markdown table of rows (6,) by name: mN and mN.m, or with unit 1 plain numbers."""
+    """Make a Markdown table with a column for each axis.
+
+    Args:
+        first: Heading of the names' column.
+        rows: Values (6,) by name, N and N.m, or plain numbers.
+        unit: Factor on the values: 1e3 for mN and mN.m, 1 for plain numbers.
+
+    Returns:
+        The table, without a line break at its end.
+
+    """
     heads = [f"{a}, mN{'·m' * (a[0] == 't')}" if unit != 1.0 else a for a in WRENCH_AXES]
     lines = [f"| {first} | {' | '.join(heads)} |", "| --- |" + " ---: |" * len(heads)]
     lines += [

@@ -67,9 +67,18 @@ class ParsedAnswer:
 
 
 def read_answer(tool: Path, recording: str) -> ParsedAnswer:
-    """Return a tool's answer, `RECORDING/diagnosis.json` or `RECORDING.json` in its folder.
+    """Read a tool's answer to one recording.
 
-    Raises FieldError that says why there is none.
+    Args:
+        tool: The tool's folder, with `RECORDING/diagnosis.json` or `RECORDING.json`.
+        recording: Name of the recording's directory.
+
+    Returns:
+        The answer from the first of the two files that exists.
+
+    Raises:
+        FieldError: There is no such file, it can't be read, or it is no valid answer.
+
     """
     for path in (tool / recording / ANSWER, tool / f"{recording}.json"):
         if path.exists():
@@ -83,7 +92,19 @@ def read_answer(tool: Path, recording: str) -> ParsedAnswer:
 
 
 def parse_answer(content: Any) -> ParsedAnswer:
-    """From the content of `diagnosis.json`; raises FieldError."""
+    """Check and read the content of `diagnosis.json`.
+
+    Args:
+        content: What the file's JSON holds, of any type.
+
+    Returns:
+        The answer; of causes with the same identity the last one.
+
+    Raises:
+        FieldError: A field is missing or malformed, the verdict isn't one of `VERDICTS`, the
+            ranking is empty, or a probability is outside 0 ... 1.
+
+    """
     answer = mapping(content, "the answer")
     verdict = text(get(answer, "verdict"), "verdict")
     if verdict not in VERDICTS:
@@ -124,7 +145,17 @@ def flat(parameters: Mapping[str, Any]) -> Iterator[tuple[str, Estimate | str]]:
     """Yield parameters one number or word at a time: `name`, `name[k]` of lists, `name.entry`.
 
     A value stands alone, or as {"value": .., "ci95": [low, high]}; of a list, "ci95" has a pair or
-    null for each. Raises FieldError.
+    null for each.
+
+    Args:
+        parameters: A cause's parameters, SI units, as `diagnosis.json` or `truth.json` has them.
+
+    Yields:
+        Key, and the word or the number with its interval; nothing for null.
+
+    Raises:
+        FieldError: A value is no number, or intervals don't fit their values.
+
     """
     for name, value in parameters.items():
         limits = None

@@ -37,7 +37,15 @@ _CLIPS = (0.5, 0.7, 0.9)
 
 
 def answers(observation: Observation) -> dict[str, Any]:
-    """Return every baseline's answer, by its name."""
+    """Return every baseline's answer to one recording.
+
+    Args:
+        observation: The recording's residual rows, as the diagnosis takes them.
+
+    Returns:
+        Answers in the form of `diagnosis.json`, by the baseline's name.
+
+    """
     rows = observation.nominal
     unknowns = unknown_columns(observation)
     behind = Background(unknowns, np.full(unknowns.shape[1], np.inf))
@@ -50,9 +58,18 @@ def answers(observation: Observation) -> dict[str, Any]:
 
 
 def explained(behind: Background, columns: Array, rows: Array) -> float:
-    """Return by how much a fit of columns (N, k) beside the background lowers the sum of squares.
+    """Return by how much a fit of columns beside the background lowers the sum of squares.
 
     Columns that others make up, or the background takes whole, add nothing.
+
+    Args:
+        behind: Columns of the unknowns, fitted beside.
+        columns: A template, (N, k).
+        rows: Whitened residuals, (N,).
+
+    Returns:
+        The decrease of the sum of squares, at least 0.
+
     """
     norms = np.linalg.norm(columns, axis=0)
     if not np.any(norms):
@@ -64,10 +81,16 @@ def explained(behind: Background, columns: Array, rows: Array) -> float:
 
 
 def simple_answers(n: int, before: float, left: Mapping[str, tuple[float, int]]) -> dict[str, Any]:
-    """Return answers of both methods, in the form of `diagnosis.json`.
+    """Return answers of both methods.
 
-    n: rows. before: sum of squares with the unknowns alone. left: sum of squares and number of
-    parameters of each effect's best template.
+    Args:
+        n: Number of rows.
+        before: Sum of squares with the unknowns alone.
+        left: By effect, sum of squares and number of parameters of its best template.
+
+    Returns:
+        Answers in the form of `diagnosis.json`, by the method's name.
+
     """
     drop = {name: 1.0 - np.sqrt(max(rss, 0.0) / before) for name, (rss, _) in left.items()}
     drop = {NONE: _LEAST_DROP, **drop}
@@ -99,9 +122,15 @@ def _at(identity: str) -> dict[str, str]:
 
 
 def templates(observation: Observation, unknowns: Array) -> Iterator[tuple[str, Array]]:
-    """Yield effects' names with columns (N, k), an effect as often as it has forms.
+    """Yield linear templates of the effects, an effect as often as it has forms.
 
-    unknowns (N, UNKNOWNS): `unknown_columns`.
+    Args:
+        observation: The recording's rows.
+        unknowns: Columns of the unknowns as `unknown_columns` returns them, (N, UNKNOWNS).
+
+    Yields:
+        The effect's name, with its joint where it has one, and columns (N, k).
+
     """
     for one in candidates(observation):
         yield one.effect, _columns(observation, one)

@@ -114,9 +114,21 @@ def rules() -> str:
 def full_plan(seed: int, per_class: int, healthy: int) -> dict[str, Case]:
     """Plan a set: cases by the names of their recordings.
 
-    `per_class` recordings of each listed effect at each strength and of each unlisted one that is
-    clear and gross, 10 pairs, 6 of three to five effects and two twins for each of these, and
-    `healthy` ones, of the arms in turn. Joints, pairs and twins are drawn.
+    There are 10 pairs, 6 cases of three to five effects and two twins for each of `per_class`; arms
+    take turns. Joints, pairs and twins are drawn.
+
+    Args:
+        seed: Seed of the set, of which names, draws and the cases' own seeds follow.
+        per_class: Recordings of each listed effect at each strength, and of each unlisted one that
+            is clear and gross.
+        healthy: Recordings without a cause.
+
+    Returns:
+        Cases by recording name, in the order of names.
+
+    Raises:
+        GalenError: The six-joint arm's description isn't installed.
+
     """
     random = np.random.default_rng([seed, 1])
     rigid = [name for name in TEST_UNKNOWN if name not in NEED_SPRINGS]
@@ -143,7 +155,15 @@ def full_plan(seed: int, per_class: int, healthy: int) -> dict[str, Case]:
 
 
 def short_plan(seed: int) -> dict[str, Case]:
-    """Plan one recording of each sort."""
+    """Plan one recording of each sort.
+
+    Args:
+        seed: Seed of the set.
+
+    Returns:
+        Six cases by recording name.
+
+    """
     return _named(_SHORT, seed)
 
 
@@ -166,10 +186,22 @@ def make(
     workers: int | None,
     generate: Generate = generate,
 ) -> str:
-    """Make a set, or what it lacks; returns the SHA-256 of its labels.
+    """Make a set, or what it lacks of one that was begun.
 
-    wanted: `per_class`, `healthy` and `short`, as the command's options. seed: None for a random
-    one. Raises GalenError.
+    Args:
+        folder: The set; labels and plan go into `FOLDER.labels` beside it.
+        wanted: `per_class`, `healthy` and `short`, as the command's options.
+        seed: Seed of the set; None for a random one, or that of the set that was begun.
+        workers: Processes; None for one per processor.
+        generate: Makes a recording in a directory; tests replace it.
+
+    Returns:
+        SHA-256 of the labels, hexadecimal.
+
+    Raises:
+        GalenError: The set was begun with other options, the folder holds something else, MuJoCo
+            isn't installed, or a recording or file can't be made.
+
     """
     private = beside(folder, "labels")
     begun = _begun(folder, private / "plan.json")
@@ -226,7 +258,20 @@ def _begun(folder: Path, plan: Path) -> dict[str, Any] | None:
 def make_one(
     recording: Path, cases: Mapping[str, Case], private: Path, generate: Generate = generate
 ) -> None:
-    """Make one recording, if it isn't there whole, its label last; called in any process."""
+    """Make one recording with its label, unless both are there.
+
+    The label is written last. Called in any process.
+
+    Args:
+        recording: Directory to write, named as in `cases`.
+        cases: All planned cases by recording name.
+        private: Folder of labels and unfinished recordings.
+        generate: Writes the recording of a case.
+
+    Raises:
+        GalenError: The recording can't be made.
+
+    """
     case, label = cases[recording.name], private / f"{recording.name}.json"
     if label.exists() and recording.exists():
         return
@@ -257,7 +302,20 @@ def _label(path: Path) -> Label:
 
 
 def diagnose(folder: Path, workers: int | None, command: Sequence[str] = DIAGNOSING) -> None:
-    """Have the diagnosing process answer what has no answer yet; raises GalenError."""
+    """Have the diagnosing process answer what has no answer yet.
+
+    The process runs in a session of its own; an exception here interrupts it.
+
+    Args:
+        folder: The set; answers go into `FOLDER.answers` beside it.
+        workers: Processes of the diagnosis; None for one per processor.
+        command: Start of the command line, before recordings, answers and labels.
+
+    Raises:
+        GalenError: The process ended with an error, or the answers' folder can't be made.
+        KeyboardInterrupt: The process was interrupted.
+
+    """
     private, answers = beside(folder, "labels").resolve(), beside(folder, "answers")
     with writing(answers):
         answers.mkdir(exist_ok=True)

@@ -112,9 +112,19 @@ class Truth:
 
 
 def generate(case: Case, directory: Path) -> Truth:
-    """Write the case's recording into a new directory; returns what it hides.
+    """Write the case's recording into a new directory.
 
-    Raises GalenError.
+    Args:
+        case: What is asked for.
+        directory: Recording to write; missing or empty.
+
+    Returns:
+        The hidden causes and what this recording can't separate from them.
+
+    Raises:
+        GalenError: The directory isn't empty, the case's arm, kind or effect is unknown, MuJoCo
+            isn't installed, or the simulation became unstable.
+
     """
     if directory.exists() and any(directory.iterdir()):
         raise GalenError(f"{directory}: is there already, and isn't empty")
@@ -139,7 +149,17 @@ def generate(case: Case, directory: Path) -> Truth:
 def observed(
     measured: Measurement, specified: Mapping[str, Any] | None = None
 ) -> DiagnosticRecording:
-    """Return what reading the recording gives, without writing it; with the limits of its file."""
+    """Return what reading the recording would give, without writing it.
+
+    Args:
+        measured: The arm in its session; noise is drawn from the session's seed.
+        specified: Limits by effect as in the recording's specification file; None for the preset of
+            a calibrated arm.
+
+    Returns:
+        The recording, samples with noise and quanta.
+
+    """
     samples = recorded(measured)
     first_ns = {bag: min(s.joint_ns[0], s.wrench_ns[0]) for bag, s in samples.items()}
     bags = {}
@@ -161,16 +181,33 @@ def observed(
 
 
 def by_part(limit: Any) -> Mapping[str, float]:
-    """Return a limit of a specification's file by joint, axis or `default`."""
+    """Return a limit of a specification's file by joint, axis or `default`.
+
+    Args:
+        limit: One number for all parts, or a mapping by part, in the effect's unit.
+
+    Returns:
+        The mapping; a number is under `default`.
+
+    """
     return limit if isinstance(limit, Mapping) else {DEFAULT: limit}
 
 
 def over_limit(
     cause: Cause, truth: Mapping[str, Any], specified: Mapping[str, Any] | None
 ) -> float:
-    """Return how many times its limit a cause is; infinite where it has none.
+    """Return how many times its limit a cause is.
 
     A drift's rate is a mean, which says nothing of its size.
+
+    Args:
+        cause: The cause at its size.
+        truth: Its true parameters, SI, as `Cause.truth` returns them.
+        specified: Limits by effect; None where the arm has no specification file.
+
+    Returns:
+        Size over limit; infinite for a drift and where there is no limit.
+
     """
     effect = cause.name.partition(":")[0]
     if specified is None or effect not in specified or effect == "sensor_drift":

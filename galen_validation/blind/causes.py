@@ -85,7 +85,15 @@ class Cause:
     member: str = ""
 
     def resized(self, size: float) -> Self:
-        """Return the same cause at a size, at most the largest."""
+        """Return the same cause at another size.
+
+        Args:
+            size: Size in the cause's own unit; cut to -largest ... largest.
+
+        Returns:
+            A copy.
+
+        """
         return replace(self, size=float(np.clip(size, -self.largest, self.largest)))
 
     @property
@@ -98,7 +106,15 @@ Draw = Callable[[np.random.Generator, "Measurement"], Cause]
 
 
 def sign(rng: np.random.Generator) -> float:
-    """Draw -1 or 1."""
+    """Draw -1 or 1.
+
+    Args:
+        rng: Random generator, advanced by one draw.
+
+    Returns:
+        Either sign, as likely.
+
+    """
     return float(rng.choice([-1.0, 1.0]))
 
 
@@ -187,7 +203,16 @@ def _inclination(rng: np.random.Generator, _: Measurement) -> Cause:
 
 
 def inclined(about_x: float, about_y: float) -> Cause:
-    """Incline the base about a direction: gravity is (Rx(a) Ry(b))^T g."""
+    """Incline the base about a direction: gravity is (Rx(a) Ry(b))^T g.
+
+    Args:
+        about_x: Share of the size about x of base_link: a = size * about_x, rad.
+        about_y: Share of the size about the turned y: b = size * about_y, rad.
+
+    Returns:
+        A `base_inclination` of 5 mrad, 0.3 rad at most.
+
+    """
 
     def aslant(size: float, plant: Plant) -> Plant:
         turn = Rotation.from_euler("XY", [size * about_x, size * about_y])
@@ -359,11 +384,21 @@ def _cable(rng: np.random.Generator, healthy: Measurement) -> Cause:
 
 
 def catenary(at: Array, anchor: Array, length_m: float, weight_n: float) -> Array:
-    """Force (n, 3) of a heavy cable, N, on its lower ends (n, 3); all in base_link, z up.
+    """Return the force of a heavy cable on its lower ends.
 
-    With the span h, the height v and sinh(x) / x = sqrt(L^2 - v^2) / h it pulls by the weight of
-    h / (2 x) sideways, and down by half its weight less v / L coth(x) of that (Irvine, Cable
+    With the span h, the height v and sinh(x) / x = sqrt(L^2 - v^2) / h it pulls by the weight of h
+    / (2 x) sideways, and down by half its weight less v / L coth(x) of that (Irvine, Cable
     Structures, 1981, chapter 1).
+
+    Args:
+        at: Lower ends in base_link, z up, (n, 3), m.
+        anchor: Upper end in base_link, (3,), m.
+        length_m: Length L of the cable.
+        weight_n: Weight of the whole cable.
+
+    Returns:
+        Forces in base_link, (n, 3), N.
+
     """
     away = anchor - at
     span = np.maximum(np.linalg.norm(away[:, :2], axis=1), 1e-3)
@@ -525,7 +560,15 @@ def _step(rng: np.random.Generator, healthy: Measurement) -> Cause:
 
 
 def smooth(part: Array) -> Array:
-    """Rise from 0 to 1 between the parts 0 and 1, without a kink."""
+    """Rise from 0 to 1 between the parts 0 and 1, without a kink.
+
+    Args:
+        part: Elapsed share of the step, any shape; outside 0 ... 1 the ends hold.
+
+    Returns:
+        Shares 0 ... 1, of the same shape.
+
+    """
     share = np.clip(part, 0.0, 1.0)
     return np.asarray(share**2 * (3.0 - 2.0 * share))
 
@@ -582,6 +625,13 @@ def listed(arm: Arm) -> dict[str, Draw]:
     Gains and axes of the Galen are its last joint's; of other arms every joint's. The zero of a
     joint about gravity does nothing that where the tracker stands wouldn't do, and where no joint
     gives, no deflection can stay.
+
+    Args:
+        arm: The nominal arm.
+
+    Returns:
+        By identity, how a seed draws the cause.
+
     """
     names = arm.turning_names
     _, axes = arm.joint_axes(arm.home)
@@ -638,7 +688,15 @@ _ALIKE = (
 
 
 def pairs(arm: Arm) -> tuple[tuple[str, str], ...]:
-    """Return all pairs of an arm's causes but those of near twins."""
+    """Return all pairs of an arm's causes but those of near twins.
+
+    Args:
+        arm: The nominal arm.
+
+    Returns:
+        Pairs of identities, each once, in the order of `listed`.
+
+    """
     return tuple(pair for pair in combinations(listed(arm), 2) if set(pair) not in _ALIKE)
 
 
@@ -650,6 +708,13 @@ def twins(arm: Arm) -> dict[str, Draw]:
     """Return exact twins where nothing pushes: all turn gravity about the same axis.
 
     These are zeros of parallel joints, and of the first joint and the base.
+
+    Args:
+        arm: The nominal arm.
+
+    Returns:
+        By identity, how a seed draws the cause.
+
     """
     if arm.delta is not None:
         return {

@@ -33,7 +33,15 @@ def available() -> bool:
 
 
 def lock_out(directory: Path) -> None:
-    """Take the right to read `directory` from this thread and its children; raises OSError."""
+    """Take the right to read a directory from this thread and its children, for good.
+
+    Args:
+        directory: What can no longer be read, with all in it; links in its path are followed.
+
+    Raises:
+        OSError: The system refuses.
+
+    """
     libc = _libc()
     handled = struct.pack("=Q", _READ_FILE | _READ_DIR)  # struct landlock_ruleset_attr
     ruleset = _checked(libc.syscall(_CREATE_RULESET, handled, ctypes.c_size_t(len(handled)), 0))

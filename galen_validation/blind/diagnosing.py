@@ -30,7 +30,19 @@ Diagnose = Callable[[Path], Mapping[str, Any]]
 
 
 def diagnosed(recording: Path) -> dict[str, Any]:
-    """Return the baselines' answers and the program's, with its wall time."""
+    """Return the baselines' answers and the program's to one recording.
+
+    Args:
+        recording: Directory of the recording.
+
+    Returns:
+        Answers in the form of `diagnosis.json` by method; the program's is the last, with its wall
+        time `seconds`.
+
+    Raises:
+        GalenError: The recording can't be read or diagnosed.
+
+    """
     from galen_diagnosis.inference.diagnosing import diagnose_recording
     from galen_diagnosis.observation.observation import Observation
     from galen_diagnosis.observation.recording import read_recording
@@ -48,13 +60,29 @@ def diagnosed(recording: Path) -> dict[str, Any]:
 
 
 def diagnose_one(recording: Path, answers: Path, diagnose: Diagnose = diagnosed) -> None:
-    """Write the answers, the program's last; called in any process."""
+    """Write the answers to one recording, the program's last; called in any process.
+
+    Args:
+        recording: Directory of the recording.
+        answers: Folder that gets METHOD/RECORDING/diagnosis.json.
+        diagnose: Returns the answers by method; tests replace it.
+
+    """
     for method, answer in diagnose(recording).items():
         write_whole(answers / method / recording.name / ANSWER, json.dumps(answer, indent=1))
 
 
 def main(args: Sequence[str] | None = None, diagnose: Diagnose = diagnosed) -> int:
-    """Diagnose what has no answer yet; returns the exit code, not whether some failed."""
+    """Diagnose what has no answer yet.
+
+    Args:
+        args: Command line; None for the process's own.
+        diagnose: Returns the answers to a recording by method.
+
+    Returns:
+        The exit code, 0 also where recordings couldn't be diagnosed.
+
+    """
     parser = argparse.ArgumentParser(prog="blind_check: diagnosing")
     for name in ("recordings", "answers", "labels"):
         parser.add_argument(name, type=Path)

@@ -98,7 +98,18 @@ class Label:
 
 
 def label_from_json(content: Any) -> Label:
-    """Read a label as `asdict` made it; raises FieldError."""
+    """Read a label as `asdict` made it.
+
+    Args:
+        content: What the JSON holds, of any type.
+
+    Returns:
+        The label.
+
+    Raises:
+        FieldError: A field is missing or malformed, or effects don't fit the kind.
+
+    """
     found = dict(mapping(content, "label"))
     same = items(get(found, "acceptable"), "acceptable")
     effects = [mapping(one, "effects") for one in items(get(found, "effects"), "effects")]
@@ -113,14 +124,29 @@ def label_from_json(content: Any) -> Label:
 
 
 def beside(folder: Path, what: str) -> Path:
-    """Where a set's `labels` or `answers` lie: beside the set, not within."""
+    """Return where a set's labels or answers lie: beside the set, not within.
+
+    Args:
+        folder: The set.
+        what: `labels` or `answers`.
+
+    Returns:
+        FOLDER.WHAT, absolute.
+
+    """
     return folder.resolve().with_name(f"{folder.resolve().name}.{what}")
 
 
 def sealed(plan: Mapping[str, Any], labels: Sequence[Label]) -> tuple[str, str]:
-    """Return the labels' text and its SHA-256 in hexadecimal.
+    """Return the labels' text and its SHA-256.
 
-    plan: what makes the set again, its seed among them.
+    Args:
+        plan: What makes the set again, its seed among them.
+        labels: One for each recording.
+
+    Returns:
+        JSON text, and its hash in hexadecimal.
+
     """
     content = {"schema_version": 1, **plan, "labels": [asdict(label) for label in labels]}
     found = json.dumps(content, indent=1, sort_keys=True)
@@ -128,19 +154,46 @@ def sealed(plan: Mapping[str, Any], labels: Sequence[Label]) -> tuple[str, str]:
 
 
 def sha256(content: str) -> str:
-    """In hexadecimal."""
+    """Return the SHA-256 of a text.
+
+    Args:
+        content: Text, hashed as UTF-8.
+
+    Returns:
+        64 hexadecimal digits.
+
+    """
     return hashlib.sha256(content.encode()).hexdigest()
 
 
 def published_sha256(folder: Path) -> str:
-    """Return the SHA-256 that the set told before its labels; raises GalenError."""
+    """Return the SHA-256 that the set published before its labels.
+
+    Args:
+        folder: The set.
+
+    Returns:
+        The hash in hexadecimal, as `labels.sha256` has it.
+
+    Raises:
+        GalenError: The file can't be read.
+
+    """
     return _read(folder / SEAL).split(" ")[0].strip()
 
 
 def open_labels(folder: Path) -> tuple[dict[str, Any], tuple[Label, ...]]:
-    """Return a set's plan and labels, in the set or beside it, if they are those of the hash.
+    """Return a set's plan and labels, if they are those of the hash.
 
-    Raises GalenError.
+    Args:
+        folder: The set; labels lie in it or beside it.
+
+    Returns:
+        The content beside the labels (version, options, seed), and the labels.
+
+    Raises:
+        GalenError: A file can't be read, isn't what was sealed, or is malformed.
+
     """
     published = published_sha256(folder)
     path = folder / LABELS

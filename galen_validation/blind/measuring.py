@@ -88,7 +88,15 @@ def _stds(usual: bool) -> dict[str, float]:
 
 
 def limits(session: Session) -> dict[str, Any]:
-    """Return the specification's limits of arms by DATA_SHEETS: two standard deviations."""
+    """Return the specification's limits of arms by DATA_SHEETS: two standard deviations.
+
+    Args:
+        session: Its tool's mass turns the limit of the moment into one of the centre.
+
+    Returns:
+        By effect, a limit in the effect's unit; of a drift two limits by entry.
+
+    """
     std = _stds(True)
     of = {
         "axis_gain": "sensor_gain", "crosstalk": "crosstalk", "joint_zero_offset": "zero_rad",
@@ -112,11 +120,21 @@ _HISTORY_N = 11.0
 def draw_tolerance(
     seed: int, scale: float = 1.0, *, arm: Arm, usual: bool = False
 ) -> dict[str, Array]:
-    """Draw a healthy arm's differences, cut at two sigma; scale 0 is the nominal one.
+    """Draw a healthy arm's differences from nominal, cut at two sigma.
 
-    usual: of an arm that is as its data sheets say. Zeros, axes and gears are as many as the arm's
-    angles, lengths as the links that they move; of more links than two each has the less, so that
-    the tip is as far off.
+    Zeros, axes and gears are as many as the arm's angles, lengths as the links that they move; of
+    more links than two each has the less, so that the tip is as far off.
+
+    Args:
+        seed: Seed of the case.
+        scale: Factor on all standard deviations; 0 for the nominal arm.
+        arm: The nominal arm.
+        usual: Whether the arm is as its data sheets say, and not carefully calibrated.
+
+    Returns:
+        By the names of TOLERANCES, differences (count,) in the unit of the name: m, rad, kg, kg.m,
+        s, or shares.
+
     """
     rng = np.random.default_rng([seed, 2])
     angles = len(arm.turning)
@@ -134,7 +152,16 @@ def draw_tolerance(
 
 
 def healthy_plant(session: Session, tolerance: Mapping[str, Array]) -> Plant:
-    """Return the session's arm and tool with these differences."""
+    """Return the session's arm and tool with these differences.
+
+    Args:
+        session: Nominal arm and tool.
+        tolerance: Differences as `draw_tolerance` returns them.
+
+    Returns:
+        The plant without causes.
+
+    """
     nominal = session.arm
     length = tolerance["length_m"].reshape(-1, 3)
     # Two ways across each axis; that of the last one which is left is in the sensor's mount.
@@ -205,7 +232,15 @@ class Measurement:
         return self._arm
 
     def trace(self, bag: str) -> Trace:
-        """Return what the arm does in a bag."""
+        """Return what the arm does in a bag, simulated at the first call.
+
+        Args:
+            bag: Name of one of the session's bags.
+
+        Returns:
+            The trace, STEP_S apart, from the bag's first stamp to just past its end.
+
+        """
         if bag not in self._traces:
             take = self.session.takes[bag]
             at_s = np.arange(0.0, take.end_s + 0.02, STEP_S)
@@ -215,7 +250,17 @@ class Measurement:
         return self._traces[bag]
 
     def reading(self, bag: str, taken_s: Array) -> Array:
-        """Return the reading (n, 6) at the times when samples are thought to be taken."""
+        """Return the sensor's reading, with the errors of sensor and causes, without noise.
+
+        Args:
+            bag: Name of one of the session's bags.
+            taken_s: Times when samples are thought to be taken, since the bag's first stamp, (n,),
+                s; true ones are earlier by the topic's delay.
+
+        Returns:
+            Zeroed readings in ft_sensor, (n, 6), N and N.m.
+
+        """
         at = self._moment(bag, taken_s, "wrench")
         trace = _at(self.trace(bag), at.bag_s)
         reading = self._sensed(at, trace.wrench) - self._zeroing(at) + self.session.zero
@@ -225,7 +270,17 @@ class Measurement:
         return reading
 
     def tool_pose(self, bag: str, taken_s: Array) -> tuple[Array, Array]:
-        """Rotation (n, 3, 3) and position (n, 3) of the tool's marker in `tracker`."""
+        """Return the pose of the tool's marker in `tracker`, without noise.
+
+        Args:
+            bag: Name of one of the session's bags.
+            taken_s: Times when samples are thought to be taken, since the bag's first stamp, (n,),
+                s.
+
+        Returns:
+            Rotation (n, 3, 3) and position (n, 3), m.
+
+        """
         at = self._moment(bag, taken_s, "tracker")
         trace = _at(self.trace(bag), at.bag_s)
         slips = [cause.slip(cause.size, at) for cause in self.causes if cause.slip is not None]
@@ -237,7 +292,17 @@ class Measurement:
         return self._seen(trace.rotation @ turn, trace.position + moved)
 
     def base_pose(self, bag: str, taken_s: Array) -> tuple[Array, Array]:
-        """Rotation (n, 3, 3) and position (n, 3) of the base's marker in `tracker`."""
+        """Return the pose of the base's marker in `tracker`, without noise.
+
+        Args:
+            bag: Name of one of the session's bags.
+            taken_s: Times when samples are thought to be taken, since the bag's first stamp, (n,),
+                s.
+
+        Returns:
+            Rotation (n, 3, 3) and position (n, 3), m.
+
+        """
         at = self._moment(bag, taken_s, "tracker")
         moved = np.zeros((len(at.bag_s), 6))
         for cause in self.causes:
@@ -349,7 +414,15 @@ class Samples:
 
 
 def recorded(measured: Measurement) -> dict[str, Samples]:
-    """Return what the bags hold, by their names."""
+    """Return what the bags hold, noise and quanta included.
+
+    Args:
+        measured: The arm in its session, whose seed the noise is drawn from.
+
+    Returns:
+        Samples by the bag's name.
+
+    """
     rng = np.random.default_rng([measured.session.seed, 4])
     return {bag: _samples(rng, measured, bag) for bag in measured.session.takes}
 
@@ -384,7 +457,13 @@ def _samples(rng: np.random.Generator, measured: Measurement, bag: str) -> Sampl
 
 
 def write_recording(directory: Path, measured: Measurement) -> None:
-    """Write the bags, the tool's file and, of another arm than the Galen, its description."""
+    """Write the bags, the tool's file and, of another arm than the Galen, its description.
+
+    Args:
+        directory: Existing directory of the recording.
+        measured: The arm in its session.
+
+    """
     arm = measured.session.arm
     for bag, samples in recorded(measured).items():
         _write_bag(directory / bag, _topics(samples, arm))
@@ -439,7 +518,15 @@ def _write_bag(path: Path, topics: list[_Topic]) -> None:
 
 
 def tool_file(session: Session) -> CalibrationFile:
-    """Return the tool's file as a calibration of 56 poses left it a day before."""
+    """Return the tool's file as a calibration of 56 poses left it a day before.
+
+    Args:
+        session: Arm and tool, both nominal in the file, and the time.
+
+    Returns:
+        The calibration, with covariances that follow from the sensor's noise.
+
+    """
     tool, arm = session.tool, session.arm
     std = SENSOR.noise_std / math.sqrt(_POSES * _SAMPLES_A_POSE)
     return CalibrationFile(

@@ -438,9 +438,20 @@ class MujocoArm:
     # Running it
 
     def run(self, at_s: Array, reported: Array, push: Array | None = None) -> Trace:
-        """Drive along reported joints (n, k) at times (n,), STEP_S apart, from rest there.
+        """Drive along reported joints, from rest at the first ones.
 
-        push (n, 6): wrench in ft_sensor about its origin, N and N.m; None for no contact.
+        Args:
+            at_s: Times, STEP_S apart, (n,), s.
+            reported: Joints as the encoders report them, (n, k), rad or m.
+            push: Wrench on the tool in ft_sensor about its origin, (n, 6), N and N.m; None for no
+                contact.
+
+        Returns:
+            The trace at the same times.
+
+        Raises:
+            GalenError: The simulation became unstable.
+
         """
         true = reported * (1.0 + self.plant.gain) + self.plant.zero
         settle = round(_SETTLE_S / STEP_S)

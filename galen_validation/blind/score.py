@@ -46,7 +46,15 @@ class Rate(NamedTuple):
 
 
 def rate(hits: Iterable[bool]) -> Rate:
-    """Count."""
+    """Count hits.
+
+    Args:
+        hits: Whether each recording is one.
+
+    Returns:
+        Number of hits and of recordings.
+
+    """
     found = [bool(hit) for hit in hits]
     return Rate(sum(found), len(found))
 
@@ -103,7 +111,16 @@ class Answered:
 
 
 def read_answers(labels: Sequence[Label], tool: Path) -> list[Answered]:
-    """Return labels with a tool's answers in its folder; bad ones are None, with the reason."""
+    """Return labels with a tool's answers.
+
+    Args:
+        labels: Labels of the set.
+        tool: The tool's folder of answers.
+
+    Returns:
+        One for each label, in their order; missing and malformed answers are None, with the reason.
+
+    """
     found = []
     for label in labels:
         try:
@@ -186,7 +203,15 @@ def _plain(value: Rate | float | None) -> Any:
 
 
 def score(cases: Sequence[Answered]) -> Score:
-    """Score one tool's answers to all recordings of a set, or to some."""
+    """Score one tool's answers to all recordings of a set, or to some.
+
+    Args:
+        cases: Labels with their answers.
+
+    Returns:
+        All rates and numbers; those of no recording are empty rates or None.
+
+    """
     singles = [c for c in cases if c.label.kind == "single"]
     plain = [c for c in cases if c.label.kind in (NONE, "single", UNKNOWN)]
     sure = [c for c in plain if c.label.sure or c.label.kind == NONE]
@@ -276,7 +301,15 @@ def _by_strength(
 
 
 def sure_rate(by_strength: Mapping[str, Rate]) -> Rate:
-    """Add up all but faint ones."""
+    """Add up all but faint ones.
+
+    Args:
+        by_strength: Rates of a class by strength, the empty word for those without one.
+
+    Returns:
+        Rate of all clear, gross and strengthless ones.
+
+    """
     found = [one for strength, one in by_strength.items() if strength != "faint"]
     return Rate(sum(one.hits for one in found), sum(one.of for one in found))
 
@@ -361,12 +394,20 @@ def _of_parameters(errors: Sequence[ParameterError]) -> dict[str, Rate | float |
 
 
 def calibration(answers: Sequence[tuple[Mapping[str, float], str]]) -> dict[str, float | None]:
-    """Say how well probabilities hold, of rankings with their truths; None of nothing.
+    """Return how well probabilities hold, of rankings with their truths.
 
     calibration_error: mean |share of right ones - mean probability| over ten bins of the first's
     probability, weighted by their numbers (M. P. Naeini et al., AAAI 2015); by_chance: the same of
-    probabilities that hold exactly, at this number. brier: mean sum over the names of
-    (probability - truth)^2, 0 ... 2 (G. W. Brier, 1950).
+    probabilities that hold exactly, at this number. brier: mean sum over the names of (probability
+    - truth)^2, 0 ... 2 (G. W. Brier, 1950).
+
+    Args:
+        answers: Probabilities by name, and the true name, of each recording.
+
+    Returns:
+        `calibration_error`, `calibration_error_by_chance` and `brier`; None each where there are no
+        answers.
+
     """
     if not answers:
         return dict.fromkeys(("calibration_error", "calibration_error_by_chance", "brier"))

@@ -86,7 +86,15 @@ _LOW, _HIGH = np.array([-1.45, -0.95]), np.array([1.45, 0.87])
 
 
 def space(arm: Arm) -> Space:
-    """Return an arm's usual space; that of a serial arm is the wider the nearer to the tool."""
+    """Return an arm's usual space; that of a serial arm is the wider the nearer to the tool.
+
+    Args:
+        arm: The nominal arm; one with a delta is taken for the Galen.
+
+    Returns:
+        Middle and reach (n,), rad or m, and speeds (n,), rad/s or m/s.
+
+    """
     if arm.delta is not None:
         middle = arm.with_angles(0.5 * (_LOW + _HIGH))
         return Space(middle, arm.by_unit(0.09, (1.35, 0.85)), arm.by_unit(0.1, 2.0))
@@ -157,7 +165,15 @@ class Pushes:
         return self.start_s + self.rise_s + self.hold_s + self.fall_s
 
     def wrench(self, at_s: Array) -> Array:
-        """Wrench (n, 6) about the sensor's origin in ft_sensor."""
+        """Return the pushes' wrench at times.
+
+        Args:
+            at_s: Times since the bag's first stamp, (n,), s.
+
+        Returns:
+            Wrenches about the sensor's origin in ft_sensor, (n, 6), N and N.m; 0 between pushes.
+
+        """
         k = np.maximum(np.searchsorted(self.start_s, at_s, side="right") - 1, 0)
         since = at_s - self.start_s[k]
         up = np.clip(since / self.rise_s[k], 0.0, 1.0)
@@ -216,7 +232,19 @@ class Session:
 def draw_session(
     seed: int, bags: tuple[str, ...] = BAGS, *, arm: Arm, usual: bool = False
 ) -> Session:
-    """Draw the session of a seed with an arm; usual: one that is as data sheets say."""
+    """Draw the session of a seed with an arm.
+
+    Args:
+        seed: Seed of the case.
+        bags: Bags to keep; all are drawn, so that leaving one out changes the others' course in
+            nothing.
+        arm: The nominal arm.
+        usual: Whether the arm is as data sheets say; serial ones then have heavier tools.
+
+    Returns:
+        The session, before any cause is known.
+
+    """
     rng = np.random.default_rng([seed, 1])
     tool = TOOLS[rng.integers(len(TOOLS))]
     if usual and arm.delta is None:
@@ -257,7 +285,16 @@ def draw_session(
 
 
 def any_direction(rng: np.random.Generator, count: int = 3) -> Array:
-    """Draw a unit vector (count,), every direction as likely."""
+    """Draw a unit vector, every direction as likely.
+
+    Args:
+        rng: Random generator.
+        count: Number of components.
+
+    Returns:
+        The vector, (count,), of length 1.
+
+    """
     drawn = rng.standard_normal(count)
     return np.asarray(drawn / np.linalg.norm(drawn))
 

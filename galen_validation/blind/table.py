@@ -43,9 +43,17 @@ _MOST = 12
 
 
 def tables(cases: Mapping[str, Sequence[Answered]], made: str) -> dict[str, str]:
-    """Return the tables by name: `made`, `score`, `classes`, `members`, `arms`, `notes`.
+    """Return the tables of a set's scores.
 
-    cases: by tool; the first is compared with the others. made: a sentence on the set.
+    Args:
+        cases: Labels with answers by tool, of the same recordings; the first tool is compared with
+            the others.
+        made: A sentence on how the set was made.
+
+    Returns:
+        Markdown by name: `made`, `score`, `classes`, `members`, `arms`, `notes`; empty where there
+        is nothing to show.
+
     """
     scores = {tool: score(found) for tool, found in cases.items()}
     first, *others = scores
@@ -123,7 +131,13 @@ def _counts(found: Rate | None) -> str:
 def fill(page: Path, found: Mapping[str, str]) -> None:
     """Put tables into a Markdown page, each between `<!-- NAME -->` and `<!-- end -->`.
 
-    Raises GalenError.
+    Args:
+        page: File to change; places whose names are not in `found` stay as they are.
+        found: Markdown by name.
+
+    Raises:
+        GalenError: The page can't be read or written, or has no place for a table.
+
     """
 
     def filled(place: re.Match[str]) -> str:

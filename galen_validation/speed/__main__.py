@@ -91,7 +91,17 @@ def build_parser() -> argparse.ArgumentParser:
 def run(
     options: argparse.Namespace, console: Console, progress: Callable[[str], None]
 ) -> dict[str, Any]:
-    """Measure the groups that are asked for and print each one's table when it is done."""
+    """Measure the groups that are asked for and print each one's table when it is done.
+
+    Args:
+        options: The command's options.
+        console: Where tables are printed.
+        progress: Called with what is measured next; with an empty text after a group.
+
+    Returns:
+        JSON content: the machine, and by group the load average before it and its measurements.
+
+    """
     out: dict[str, Any] = {"machine": machine()}
     for name in options.only:
         group = GROUPS[name]
@@ -105,7 +115,12 @@ def run(
 
 
 def main(arguments: Iterable[str] | None = None) -> None:
-    """Be the command."""
+    """Be the command.
+
+    Args:
+        arguments: Command line; None for the process's own.
+
+    """
     parser = build_parser()
     options = parser.parse_args(None if arguments is None else list(arguments))
     try:

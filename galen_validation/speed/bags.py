@@ -59,7 +59,17 @@ class Read:
 
 
 def generate(path: Path, hours: float, *, quiet: bool) -> int:
-    """Write a recording: a pose is held for 4 s, then 2 s of motion; returns the messages."""
+    """Write a recording: a pose is held for 4 s, then 2 s of motion.
+
+    Args:
+        path: Bag to write.
+        hours: Its length; both topics have 500 Hz.
+        quiet: Whether to show no progress bar.
+
+    Returns:
+        Number of messages of both topics.
+
+    """
     rng = np.random.default_rng(1)
     tool = bench_tool()
     period_ns = round(1e9 / _RATE_HZ)
@@ -101,7 +111,16 @@ def _angles(time_s: np.ndarray, goals: np.ndarray) -> np.ndarray:
 
 
 def rosbags_read(bag: Path, _tool: Path) -> int:
-    """Read every message."""
+    """Read every message by rosbags.
+
+    Args:
+        bag: Bag to read.
+        _tool: Not used; subjects are called alike.
+
+    Returns:
+        Number of messages.
+
+    """
     from rosbags.rosbag2 import Reader
 
     with Reader(bag) as reader:
@@ -109,7 +128,16 @@ def rosbags_read(bag: Path, _tool: Path) -> int:
 
 
 def rosbags_deserialise(bag: Path, _tool: Path) -> int:
-    """Read and deserialise every message."""
+    """Read and deserialise every message by rosbags.
+
+    Args:
+        bag: Bag to read.
+        _tool: Not used; subjects are called alike.
+
+    Returns:
+        Number of messages.
+
+    """
     from rosbags.rosbag2 import Reader
     from rosbags.typesys import Stores, get_typestore
 
@@ -123,13 +151,34 @@ def rosbags_deserialise(bag: Path, _tool: Path) -> int:
 
 
 def read_arrays(bag: Path, _tool: Path) -> int:
-    """Read every message into arrays."""
+    """Read every message into arrays.
+
+    Args:
+        bag: Bag to read.
+        _tool: Not used; subjects are called alike.
+
+    Returns:
+        Number of messages.
+
+    """
     with open_bag(bag) as opened:
         return sum(len(block.is_wrench) for block in ArmReader(opened, arm=GALEN).blocks())
 
 
 def evaluate(bag: Path, tool: Path) -> int:
-    """Evaluate the bag."""
+    """Evaluate the bag.
+
+    Args:
+        bag: Bag to read.
+        tool: Calibration file.
+
+    Returns:
+        Number of messages of both topics.
+
+    Raises:
+        AssertionError: Not every wrench was compensated.
+
+    """
     result = evaluate_bag(bag, read_calibration(tool, GALEN))
     assert result.compensated == result.wrench_stamps.count, result.rejected
     return result.joint_stamps.count + result.wrench_stamps.count
@@ -158,7 +207,14 @@ def _measure_once(subject: str, bag: Path, tool: Path, hours: float, messages: i
 
 
 def run_subject(subject: str, bag: Path, tool: Path) -> None:
-    """Do it here, and print what it took."""
+    """Run a subject in this process and print messages, seconds and peak memory as JSON.
+
+    Args:
+        subject: Name of one of SUBJECTS.
+        bag: Bag to read.
+        tool: Calibration file.
+
+    """
     begin = time.perf_counter()
     messages = SUBJECTS[subject](bag, tool)
     seconds = time.perf_counter() - begin
@@ -173,7 +229,15 @@ def _peak_mb() -> float:
 
 
 def table(measurements: list[Read]) -> Table:
-    """Each subject at each length, and its time over the baseline's."""
+    """Make a row of each subject at each length, with its time over the baseline's.
+
+    Args:
+        measurements: What `measure` returned.
+
+    Returns:
+        The table.
+
+    """
     out = Table("subject", box=None, header_style="bold")
     for name in ("hours", "messages", "s", "us a message", "of the baseline", "peak MB"):
         out.add_column(name, justify="right")
@@ -190,7 +254,20 @@ def table(measurements: list[Read]) -> Table:
 
 
 def measure(options: argparse.Namespace, progress: Callable[[str], None]) -> list[Read]:
-    """Measure every subject on bags of these lengths; progress(what) is called before each."""
+    """Measure every subject on a bag of each length.
+
+    Args:
+        options: The command's; `hours`: lengths of bags.
+        progress: Called with what is done next.
+
+    Returns:
+        One for each length and subject.
+
+    Raises:
+        RuntimeError: A subject saw another number of messages than the bag has.
+        subprocess.CalledProcessError: A subject failed.
+
+    """
     out: list[Read] = []
     for length in options.hours:
         with tempfile.TemporaryDirectory(prefix="galen_bench_") as directory:
@@ -205,7 +282,7 @@ def measure(options: argparse.Namespace, progress: Callable[[str], None]) -> lis
 
 
 def main() -> None:
-    """Run one subject: `compare` calls it."""
+    """Run one subject: `measure` starts a process for each."""
     subject, bag, tool = sys.argv[1:]
     run_subject(subject, Path(bag), Path(tool))
 

@@ -65,16 +65,32 @@ class Compared:
 
 
 def peer_wrench(rotation: Array, mass_kg: float, com_m: Array, reading: Array) -> Array:
-    """Subtract the weight from a reading (6,) as other packages do: f = R^T m g, t = c x f.
+    """Subtract the weight from a reading as other packages do: f = R^T m g, t = c x f.
 
-    rotation (3, 3): of the sensor in the base, from a transform tree in their case.
+    Args:
+        rotation: Of the sensor in the base, (3, 3); from a transform tree in their case.
+        mass_kg: Mass of the tool.
+        com_m: Centre of mass in the sensor's frame, (3,), m.
+        reading: Wrench in the sensor's frame, (6,), N and N.m.
+
+    Returns:
+        Reading without the weight, (6,).
+
     """
     force = rotation.T @ (mass_kg * _GRAVITY)
     return np.asarray(reading - np.concatenate([force, np.cross(com_m, force)]))
 
 
 def one_sample(rounds: int) -> list[Compared]:
-    """Compare one sample at a time."""
+    """Compare the compensation of one sample at a time.
+
+    Args:
+        rounds: Turns of each subject.
+
+    Returns:
+        The kernel beside Pinocchio's kinematics, and beside the formula alone.
+
+    """
     tool = bench_tool()
     kernel, arm = Prediction(tool, arm=GALEN), PinocchioArm()
     reading, joints = np.ones(6), np.array([0.0, 0.0, 0.408, 0.3, -0.2])
@@ -102,7 +118,16 @@ def one_sample(rounds: int) -> list[Compared]:
 
 
 def arrays(rounds: int, samples: int = _SAMPLES) -> list[Compared]:
-    """Compare a million samples at once."""
+    """Compare the compensation of many samples at once.
+
+    Args:
+        rounds: Turns of each subject.
+        samples: Number of samples.
+
+    Returns:
+        The kernel beside the formula on arrays, and beside a copy of as many bytes.
+
+    """
     tool = bench_tool()
     kernel = Prediction(tool, arm=GALEN)
     random = np.random.default_rng(1)
@@ -130,7 +155,16 @@ def arrays(rounds: int, samples: int = _SAMPLES) -> list[Compared]:
 
 
 def six_joints(rounds: int, samples: int = _SAMPLES // 10) -> list[Compared]:
-    """Compare the compensation of an arm with six revolute joints."""
+    """Compare the compensation of an arm with six revolute joints.
+
+    Args:
+        rounds: Turns of each subject.
+        samples: Number of samples in the arrays.
+
+    Returns:
+        One sample and arrays, each beside gravity in the sensor by Pinocchio, one sample at a time.
+
+    """
     text = _SIX_AXIS.read_text(encoding="utf-8")
     arm, model = read_arm(text), pinocchio.buildModelFromXML(text)
     data, sensor = model.createData(), model.getFrameId(arm.sensor_frame)
@@ -157,7 +191,15 @@ def six_joints(rounds: int, samples: int = _SAMPLES // 10) -> list[Compared]:
 
 
 def regression(rounds: int) -> list[Compared]:
-    """Compare a whole calibration's computing, checks included."""
+    """Compare a whole calibration's computing, checks included.
+
+    Args:
+        rounds: Turns of each subject.
+
+    Returns:
+        Calibrations of 56 and of 10 000 poses beside one plain least squares each.
+
+    """
     out = []
     for poses in (56, 10_000):
         bare, tool = _sweeps(poses)
@@ -182,7 +224,15 @@ def regression(rounds: int) -> list[Compared]:
 
 
 def hysteresis(rounds: int) -> list[Compared]:
-    """Compare a sample of the deflection's models as they stream."""
+    """Compare a sample of the deflection's models as they stream.
+
+    Args:
+        rounds: Turns of each subject.
+
+    Returns:
+        Springs with plays beside springs.
+
+    """
     random = np.random.default_rng(2)
     joints = np.array([0.0, 0.0, 0.408, 0.3, -0.2]) + 1e-4 * random.normal(size=(256, 5))
     wrench = 3.0 * np.sin(0.05 * np.arange(256))[:, None] * np.array([1, 0.3, 0.5, 0, 0, 0.01])
@@ -236,10 +286,19 @@ def _with_offset(sweep: StillPoses, number: int) -> Array:
 def time_calls(
     subjects: Mapping[str, Callable[[], object]], rounds: int, pieces: int = 1
 ) -> dict[str, Spread]:
-    """Time each subject, s for one of the pieces that a call works on.
+    """Time each subject.
 
     Subjects take turns, so that what else the machine does meets all of them. A round calls a
     subject so often that it takes at least 0.05 s.
+
+    Args:
+        subjects: Calls by name.
+        rounds: Turns of each subject.
+        pieces: How many pieces a call works on.
+
+    Returns:
+        By name, least, median and largest time of a piece over the rounds, s.
+
     """
     often = {name: _often(call) for name, call in subjects.items()}
     seconds: dict[str, list[float]] = {name: [] for name in subjects}
@@ -272,7 +331,16 @@ PARTS: tuple[Callable[[int], list[Compared]], ...] = (
 
 
 def measure(options: argparse.Namespace, progress: Callable[[str], None]) -> list[Compared]:
-    """Time all of it; progress(what) is called before each part."""
+    """Time all of PARTS.
+
+    Args:
+        options: The command's; each part has three times its `rounds`.
+        progress: Called with the part's name before it.
+
+    Returns:
+        All comparisons, in the order of PARTS.
+
+    """
     out = []
     for part in PARTS:
         progress(part.__name__.replace("_", " "))
@@ -281,7 +349,15 @@ def measure(options: argparse.Namespace, progress: Callable[[str], None]) -> lis
 
 
 def table(found: Sequence[Compared]) -> Table:
-    """Make a row a comparison: least/median/largest, and the ratio of the medians."""
+    """Make a row of each comparison: least/median/largest, and the ratio of the medians.
+
+    Args:
+        found: What `measure` returned.
+
+    Returns:
+        The table.
+
+    """
     out = Table("what", "subject", "time", "baseline", "its time", "ratio", box=None,
                 header_style="bold")  # fmt: skip
     for one in found:

@@ -40,7 +40,16 @@ class Part:
 
 
 def measure(options: argparse.Namespace, progress: Callable[[str], None]) -> list[Part]:
-    """Diagnose the recording so often; progress(what) is called before each."""
+    """Diagnose a simulated recording several times, beside reading it.
+
+    Args:
+        options: The command's; `rounds`: how often.
+        progress: Called with what is done next.
+
+    Returns:
+        Of each round the baseline, the reading, and the whole diagnosis with its reading.
+
+    """
     found: list[Part] = []
     with tempfile.TemporaryDirectory(prefix="galen_bench_") as directory:
         recording = Path(directory, "recording")
@@ -59,7 +68,15 @@ def measure(options: argparse.Namespace, progress: Callable[[str], None]) -> lis
 
 
 def table(found: Sequence[Part]) -> Table:
-    """Make a row a part: least/median/largest of the rounds, over the baseline's median."""
+    """Make a row of each part: least/median/largest of the rounds, and median over the baseline's.
+
+    Args:
+        found: What `measure` returned.
+
+    Returns:
+        The table.
+
+    """
     out = Table("part", "s", "x reading by rosbags", box=None, header_style="bold")
     base = statistics.median(one.seconds for one in found if one.part == BASELINE)
     for name in dict.fromkeys(one.part for one in found):

@@ -93,7 +93,15 @@ def relays() -> list[Subject]:
 
 
 def gravcomp_nodes(tools_dir: Path) -> list[Subject]:
-    """Return the compensator with its stages; writes a calibration file into tools_dir."""
+    """Return the compensator with its stages; writes a calibration file.
+
+    Args:
+        tools_dir: Existing folder, which gets the file.
+
+    Returns:
+        The node as it is by default, without its calibration monitor, and with motion from joints.
+
+    """
     write_bench_tool(tools_dir)
     node = (
         *("galen_gravcomp.ros.node", "--ros-args", "--log-level", "error"),
@@ -116,6 +124,13 @@ def deflection_nodes(folder: Path) -> list[Subject]:
     """Return the deflection's node with each model, which takes `wrench_raw` as compensated.
 
     `stands` is the same with one joint vector, of which less has to be calculated.
+
+    Args:
+        folder: Existing folder, which gets the model files.
+
+    Returns:
+        Of each model, the node with the arm in motion and standing.
+
     """
     out = []
     for model in write_bench_models(folder):
@@ -132,7 +147,20 @@ def deflection_nodes(folder: Path) -> list[Subject]:
 
 
 def measure(options: argparse.Namespace, progress: Callable[[str], None]) -> list[Measurement]:
-    """Measure the nodes of the loop, beside the relays; progress(what) before each."""
+    """Measure the nodes of the loop, beside the relays.
+
+    Args:
+        options: The command's: `subjects` (None for all), `rates` in Hz, `seconds` of each run,
+            `rounds`.
+        progress: Called with what is measured next.
+
+    Returns:
+        One for each rate, round and subject.
+
+    Raises:
+        RuntimeError: A subject puts out nothing.
+
+    """
     with tempfile.TemporaryDirectory(prefix="galen_bench_") as directory:
         folder = Path(directory)
         relay, relay_joints, relay_deflection = relays()
@@ -153,7 +181,22 @@ def compare(
     rounds: int,
     progress: Callable[[str], None],
 ) -> list[Measurement]:
-    """Measure all subjects at every rate, turn by turn; progress(what) is called before each."""
+    """Measure all subjects at every rate, turn by turn.
+
+    Args:
+        subjects: Processes to measure; ratios need the one named `relay`.
+        rates_hz: Wrenches per second.
+        seconds: Length of a measurement after the warm-up.
+        rounds: Turns of each subject at a rate.
+        progress: Called with what is measured next.
+
+    Returns:
+        One for each rate, round and subject.
+
+    Raises:
+        RuntimeError: A subject puts out nothing.
+
+    """
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     found = []
     for rate_hz in rates_hz:
@@ -205,7 +248,18 @@ class _Receiver(Node):
 
 
 def cpu_s(pid: int) -> float:
-    """Return user and system time of a process so far, s (Linux)."""
+    """Return user and system time of a process so far (Linux).
+
+    Args:
+        pid: Its process id.
+
+    Returns:
+        Seconds, in steps of the system's clock tick.
+
+    Raises:
+        OSError: There is no such process.
+
+    """
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
@@ -267,7 +321,16 @@ def _end(processes: Sequence[subprocess.Popen[bytes]]) -> None:
 
 
 def lost_between(stamps_ns: np.ndarray) -> int:
-    """Count the numbers that lack between the first and the last of stamps (n,), n > 0."""
+    """Count the numbers that lack between the first and the last of stamps.
+
+    Args:
+        stamps_ns: Stamps as they came out, (n,), n > 0; the last four digits are the wrench's
+            number.
+
+    Returns:
+        Number of lost wrenches.
+
+    """
     numbers = stamps_ns % NUMBERS
     begun_again = np.concatenate([[0], np.cumsum(np.diff(numbers) < -NUMBERS // 2)])
     steps = np.diff(np.sort(numbers + begun_again * NUMBERS))
@@ -275,7 +338,18 @@ def lost_between(stamps_ns: np.ndarray) -> int:
 
 
 def ratios(found: Sequence[Measurement], subject: str, rate_hz: float, what: str) -> list[float]:
-    """Divide a subject's `what` by the relay's of the same round, for each round."""
+    """Divide a subject's number by the relay's of the same round, for each round.
+
+    Args:
+        found: Measurements of all subjects and rates.
+        subject: Name of the subject.
+        rate_hz: Rate that is compared.
+        what: Name of a field of Measurement.
+
+    Returns:
+        Ratios of the rounds that have both.
+
+    """
     by_round = {
         (one.subject, one.round): getattr(one, what) for one in found if one.rate_hz == rate_hz
     }
@@ -287,7 +361,15 @@ def ratios(found: Sequence[Measurement], subject: str, rate_hz: float, what: str
 
 
 def table(found: Sequence[Measurement]) -> Table:
-    """Make a row a subject and rate: least/median/largest of the rounds."""
+    """Make a row of each subject and rate: least/median/largest of the rounds.
+
+    Args:
+        found: What `measure` returned.
+
+    Returns:
+        The table.
+
+    """
     out = Table(
         "subject", "Hz", "lost", "CPU us a wrench", "x relay", "p50 ms", "p99 ms", "x relay",
         "p99.9 ms", "largest ms", box=None, header_style="bold",
@@ -315,7 +397,16 @@ def table(found: Sequence[Measurement]) -> Table:
 
 
 def spread(values: Sequence[float], digits: int) -> str:
-    """Least, median and largest; one value alone."""
+    """Return least, median and largest as text; one value alone.
+
+    Args:
+        values: Numbers of the rounds.
+        digits: Digits after the point.
+
+    Returns:
+        Numbers with `/` between; empty of none.
+
+    """
     if not values:
         return ""
     shown = [f"{v:.{digits}f}" for v in (min(values), statistics.median(values), max(values))]

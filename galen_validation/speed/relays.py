@@ -34,7 +34,14 @@ _JOINT_STEP = 1e-6
 
 
 def send(wrench_topic: str, rate_hz: float, moving: bool) -> None:
-    """Publish joints and wrenches at a rate until the process is ended."""
+    """Publish joints and wrenches until the process is ended.
+
+    Args:
+        wrench_topic: Topic of the wrenches; joints go to `joint_states`.
+        rate_hz: Pairs of both per second, with the same stamp.
+        moving: Whether no two joint vectors that follow each other are alike.
+
+    """
     # Without rclpy's handlers SIGTERM ends this endless loop at once.
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = Node("sender")

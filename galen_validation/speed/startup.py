@@ -42,7 +42,15 @@ class Started:
 
 
 def subjects(folder: Path) -> dict[str, tuple[str, tuple[str, ...]]]:
-    """Name in the graph and arguments after `python -m`, by subject; the relay first."""
+    """Return the processes to start; the relay first.
+
+    Args:
+        folder: Folder of tools, with the retractor's calibration.
+
+    Returns:
+        By subject, the node's name in the graph, and arguments after `python -m`.
+
+    """
     tools = ("-p", f"tools_dir:={folder}")
     ros = ("--ros-args", "--log-level", "error")
     return {
@@ -77,7 +85,20 @@ class _Watcher(Node):
 
 
 def start(subject: str, name: str, arguments: Sequence[str]) -> Started:
-    """Start a node once, alone in its domain."""
+    """Start a node once, alone in its domain.
+
+    Args:
+        subject: Name in the table.
+        name: The node's name in the graph.
+        arguments: Arguments after `python -m`.
+
+    Returns:
+        Time and processor time until others see the node.
+
+    Raises:
+        RuntimeError: The process ended, or wasn't seen within a minute.
+
+    """
     lock = DomainLock()
     environment = os.environ | {"ROS_DOMAIN_ID": str(lock.domain_id), "OMP_NUM_THREADS": "1"}
     context = rclpy.Context()
@@ -108,7 +129,19 @@ def start(subject: str, name: str, arguments: Sequence[str]) -> Started:
 
 
 def measure(options: argparse.Namespace, progress: Callable[[str], None]) -> list[Started]:
-    """Start every node so often, in turns; progress(what) is called before each."""
+    """Start every node several times, in turns.
+
+    Args:
+        options: The command's; `rounds`: how often.
+        progress: Called with what is started next.
+
+    Returns:
+        One for each round and node.
+
+    Raises:
+        RuntimeError: A node ended, or wasn't seen.
+
+    """
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     found: list[Started] = []
     with tempfile.TemporaryDirectory() as folder:
@@ -121,7 +154,15 @@ def measure(options: argparse.Namespace, progress: Callable[[str], None]) -> lis
 
 
 def table(found: Sequence[Started]) -> Table:
-    """Make a row a node: least/median/largest of the rounds."""
+    """Make a row of each node: least/median/largest of the rounds.
+
+    Args:
+        found: What `measure` returned.
+
+    Returns:
+        The table.
+
+    """
     base = statistics.median(one.seconds for one in found if one.subject == "relay")
     out = Table("node", "s till seen", "x relay", "CPU s", box=None, header_style="bold")
     for subject in dict.fromkeys(one.subject for one in found):

@@ -70,9 +70,12 @@ def localize(
     Args:
         rows: N rows.
         residual: (N,), whitened, unknowns fitted.
-        floor: mean square that noise alone gives a row.
+        floor: Mean square that noise alone gives a row.
         healthy: (N, q), how rows change by each of q tolerances of a healthy arm, unknowns
             projected out; None for an arm that is the nominal one.
+
+    Returns:
+        JSON content: shares by channel, bag and regime, poses, and `p` and `ratio` by the same.
 
     """
     found: dict[str, Any] = {"p": {}, "ratio": {}}
@@ -102,9 +105,20 @@ def cell_scores(
     floor: float = 1.0,
     healthy: Array | None = None,
 ) -> tuple[Array, Array, Array]:
-    """Test a view's K cells on whitened residuals (N,); arguments as `localize` has them.
+    """Test a view's K cells on whitened residuals.
 
-    Returns share of the excess, mean square over the floor, corrected p-value, each (K,).
+    Args:
+        rows: N rows.
+        residual: (N,), whitened, unknowns fitted.
+        view: The cells.
+        floor: Mean square that noise alone gives a row.
+        healthy: (N, q), how rows change by each of q tolerances of a healthy arm; None for an arm
+            that is the nominal one.
+
+    Returns:
+        Share of the excess, mean square over the floor, corrected p-value, each (K,); shares are 0
+        where no cell is marked.
+
     """
     energy = residual**2 / floor
     off = None if healthy is None else healthy[view.row] / np.sqrt(floor)
@@ -140,7 +154,15 @@ def _by_names(index: np.ndarray, names: tuple[str, ...]) -> View:
 
 
 def by_regime_of_bag(rows: ResidualRows) -> View:
-    """Cut by channel in each regime of each bag, for the picture."""
+    """Cut by channel in each regime of each bag, for the picture.
+
+    Args:
+        rows: N rows.
+
+    Returns:
+        A cell for each combination that has rows.
+
+    """
     shape = (len(BAGS), len(REGIMES), len(CHANNELS))
     keys = np.ravel_multi_index((rows.bag, rows.regime, rows.channel), shape)
     present, cell = np.unique(keys, return_inverse=True)
@@ -153,7 +175,15 @@ def by_regime_of_bag(rows: ResidualRows) -> View:
 
 
 def by_pose(rows: ResidualRows) -> View:
-    """Cut by the sweep's still poses and the arm's positions among the pushes."""
+    """Cut by the sweep's still poses and the arm's positions among the pushes.
+
+    Args:
+        rows: N rows; those in motion are in no cell.
+
+    Returns:
+        A cell for each pose of a bag, with the median of its reported joints, m and rad.
+
+    """
     row = np.flatnonzero(rows.pose >= 0)
     poses = int(rows.pose.max(initial=0)) + 1
     present, cell = np.unique(rows.bag[row] * poses + rows.pose[row], return_inverse=True)
@@ -171,7 +201,16 @@ def by_pose(rows: ResidualRows) -> View:
 
 
 def cube_root_score(ratio: Array, freedom: Array) -> Array:
-    """Return Wilson and Hilferty's score, standard normal where ratio is chi2(n) / n."""
+    """Return Wilson and Hilferty's score, standard normal where ratio is chi2(n) / n.
+
+    Args:
+        ratio: Sums of squares over their degrees of freedom, any shape.
+        freedom: Degrees of freedom n, of the same shape.
+
+    Returns:
+        Scores of the same shape.
+
+    """
     spread = 2.0 / (9.0 * freedom)
     return np.asarray((np.cbrt(ratio) - (1.0 - spread)) / np.sqrt(spread))
 
@@ -179,8 +218,16 @@ def cube_root_score(ratio: Array, freedom: Array) -> Array:
 def block_spread(energy: Array, block: np.ndarray) -> float:
     """Estimate t, the blocks' noise levels' relative standard deviation, from quiet blocks alone.
 
-    energy (N,): squares over the floor; block (N,). Under chi-square noise the cube-root score of a
-    quiet block has mean square 1; what is beyond it is t^2 over 2 / n.
+    Under chi-square noise the cube-root score of a quiet block has mean square 1; what is beyond it
+    is t^2 over 2 / n.
+
+    Args:
+        energy: Squares over the floor, (N,).
+        block: Number of each row's block, (N,).
+
+    Returns:
+        t; 0 of fewer than 10 quiet blocks.
+
     """
     _, which = np.unique(block, return_inverse=True)
     count = np.bincount(which).astype(float)
@@ -205,7 +252,7 @@ def compare_cells(
     level_std: float = _LEVEL_STD,
     seed: int = _SEED,
 ) -> tuple[Array, Array, Array]:
-    """Test K = `cells` cells at once; returns mean square over the floor, excess and p, each (K,).
+    """Test K = `cells` cells at once.
 
     Args:
         energy: (N,), squares over the floor.
@@ -215,9 +262,12 @@ def compare_cells(
         spread: `block_spread`'s.
         healthy: (N, q), how rows change by a healthy arm's deviations, each by one tolerance, in
             units of the rows' noise.
-        draws: of the null; no p-value is below 1 / (draws + 1).
-        level_std: standard deviation of the noise's estimated variance, over it.
-        seed: of the draws.
+        draws: Of the null; no p-value is below 1 / (draws + 1).
+        level_std: Standard deviation of the noise's estimated variance, over it.
+        seed: Of the draws.
+
+    Returns:
+        Mean square over the floor, excess and p, each (K,); 1, 0 and 1 of an empty cell.
 
     """
     total = np.bincount(cell, minlength=cells).astype(float)

@@ -61,15 +61,32 @@ class Candidate:
         return self.effect, self.label
 
     def unsimulated(self, values: Array) -> Array | float:
-        """Return what these numbers add to the rows' prediction that no simulator knows (N,)."""
+        """Return what these numbers add to the rows' prediction that no simulator knows.
+
+        Args:
+            values: The free numbers, (p,).
+
+        Returns:
+            Changes in the rows' units, (N,); 0 of a form without inputs.
+
+        """
         if not self.inputs or self.columns is None:
             return 0.0
         return np.asarray(self.columns @ values)
 
     def jacobian(self, observation: Observation, effects: EffectsAt, values: Array) -> Array:
-        """Return how the rows' prediction changes (N, p) by the numbers.
+        """Return how the rows' prediction changes by the numbers.
 
-        effects(values): all of a hypothesis' effects with these numbers of this one.
+        Forward differences with the steps `probe`, unless `columns` are known.
+
+        Args:
+            observation: What was measured.
+            effects: Returns all of a hypothesis' effects with given numbers (p,) of this one.
+            values: The free numbers, (p,).
+
+        Returns:
+            Columns in the rows' units over the numbers', (N, p).
+
         """
         if self.columns is not None:
             return self.columns
@@ -89,7 +106,15 @@ class Candidate:
         return low[self.free], high[self.free]
 
     def at(self, values: Array) -> Effect:
-        """Return the effect with these numbers (p,), kept within its bounds."""
+        """Return the effect with these numbers, kept within its bounds.
+
+        Args:
+            values: The free numbers, (p,), in the units of the effect's `fitted`.
+
+        Returns:
+            The effect; where `make` is given, what it makes of them.
+
+        """
         if self.make is not None:
             return self.make(values)
         vector = self.base.vector()
@@ -108,7 +133,15 @@ def plain_form(
 ) -> Candidate:
     """Return an effect with numbers free, from what they are, of usual size.
 
-    free (p,): which of its `vector`, None for all. name: its identity, where it isn't its own.
+    Args:
+        effect: Its other numbers stay.
+        label: Name of the form among the effect's.
+        free: Which of its `vector` are free, (p,); None for all.
+        name: Its identity; None for its own.
+
+    Returns:
+        The form, steps of differences a twentieth of the usual sizes.
+
     """
     vector = effect.vector()
     free = np.arange(len(vector)) if free is None else free
@@ -120,7 +153,19 @@ def plain_form(
 def linear_form(
     base: Effect, label: str, columns: Array, typical: Array, name: str | None = None
 ) -> Candidate:
-    """Return a form with columns (N, p) known; name: its identity, where it isn't its own."""
+    """Return a form whose columns are known.
+
+    Args:
+        base: The effect without its numbers.
+        label: Name of the form among the effect's.
+        columns: How the rows' prediction changes by the numbers, (N, p).
+        typical: Prior standard deviations of the numbers, (p,).
+        name: The effect's identity; None for its own.
+
+    Returns:
+        The form; its fit begins at zero.
+
+    """
     start = np.zeros(columns.shape[1])
     own = base.identity if name is None else name
     free = np.arange(len(start))
@@ -128,7 +173,16 @@ def linear_form(
 
 
 def freed(one: Candidate, fitted: Candidate) -> Candidate:
-    """Return a form whose fit, `fitted`, has further numbers behind its own."""
+    """Return a form whose fit has further numbers behind its own.
+
+    Args:
+        one: Form that is judged linearly, with p numbers.
+        fitted: Form that a fit takes in its place; its first p numbers are those of `one`.
+
+    Returns:
+        `one`, whose fit begins at its linear answer and the start of the further numbers.
+
+    """
 
     def begun(values: Array) -> tuple[Candidate, Array]:
         return fitted, np.concatenate([values, fitted.start[len(values) :]])
@@ -137,5 +191,13 @@ def freed(one: Candidate, fitted: Candidate) -> Candidate:
 
 
 def floats(vector: Array) -> tuple[float, ...]:
-    """Return numbers (p,) as an effect's field holds them."""
+    """Return numbers as an effect's field holds them.
+
+    Args:
+        vector: Numbers, (p,).
+
+    Returns:
+        p floats.
+
+    """
     return tuple(float(value) for value in vector)

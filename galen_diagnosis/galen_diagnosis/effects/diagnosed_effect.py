@@ -51,7 +51,15 @@ class FileParts:
     estimated: list[str] = field(default_factory=list)
 
     def remount(self, name: str, at: Sequence[int], variances: Array, mounting: Mounting) -> None:
-        """Take a mounting with another parameter, at these places (k,) of it; variances (k,)."""
+        """Take a mounting with another parameter.
+
+        Args:
+            name: What has changed, for `estimated`.
+            at: Places of the parameter's k numbers among the mounting's.
+            variances: Added to these numbers' variances, (k,).
+            mounting: The new one, its covariance not yet changed.
+
+        """
         self.mounting = mounting
         self.spread[at, at] += variances
         self.estimated.append(name)
@@ -85,7 +93,16 @@ def _plain(_: Observation, effect: Effect) -> Iterable[Candidate]:
 
 
 def no_forms(_: Observation, __: Any) -> Iterable[Candidate]:
-    """Return that there are none."""
+    """Return that there are none.
+
+    Args:
+        _: Observation, not used.
+        __: Effect or columns, not used.
+
+    Returns:
+        Nothing.
+
+    """
     return ()
 
 
@@ -183,7 +200,19 @@ class DiagnosedEffect:
         return KAPPA[self.known]
 
     def tolerances(self, recording: DiagnosticRecording, one: Candidate) -> Sizes | None:
-        """Return the standard deviations of a healthy arm's numbers of one form; None for none."""
+        """Return the standard deviations of a healthy arm's numbers of one form.
+
+        By the specification's limits or, where it has none, by the tool's file.
+
+        Args:
+            recording: Its specification and tool's file.
+            one: A form of this effect.
+
+        Returns:
+            One for each free number, or one for all, in the numbers' units; None where a healthy
+            arm has none.
+
+        """
         if one.wider or not self.healthy:
             return None
         parts = tuple(one.base.limit_parts[k] for k in one.free)

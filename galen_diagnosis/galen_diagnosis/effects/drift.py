@@ -39,7 +39,16 @@ _MOST_STEPS = 24
 
 
 def drift_candidates(observation: Observation, zero: Array) -> list[Candidate]:
-    """Return a steady drift, a smooth one, and one of any shape."""
+    """Return a steady drift, a smooth one, and one of any shape.
+
+    Args:
+        observation: What was measured.
+        zero: Columns of the sensor's zero, (N, 6).
+
+    Returns:
+        Three forms; none of a recording shorter than 40 s.
+
+    """
     at_s = observation.rows.session_s
     length = float(at_s.max())
     if length < 2.0 * _KNOT_S:
@@ -95,8 +104,15 @@ def _between_knots(drift: SensorDrift, rows: ResidualRows, zero: Array) -> csc_a
 def drift_columns(at_s: Array, by_order: bool = False) -> list[Columns]:
     """Return smooth courses of all six axes, of several lengths and sizes.
 
-    The leading eigenvectors of exp(-(t - t')^2 / 2 l^2) at the readings' times at_s (n,). by_order:
-    the order of readings is all that is known of time.
+    The leading eigenvectors of exp(-(t - t')^2 / 2 l^2) at the readings' times.
+
+    Args:
+        at_s: Times of the readings, (n,), s.
+        by_order: Whether the order of readings is all that is known of time.
+
+    Returns:
+        Ways with values (n, 6, k), N and N.m, and the parameter `rate_per_hour`.
+
     """
     span = float(at_s[-1] - at_s[0])
     ways = []

@@ -37,7 +37,15 @@ _LEAST_ZERO_RAD = 0.1e-3
 
 
 def candidates(observation: Observation) -> list[Candidate]:
-    """Return all forms that the recording could show and the simulator differentiates."""
+    """Return all forms that the recording could show and the simulator differentiates.
+
+    Args:
+        observation: What was measured.
+
+    Returns:
+        Forms in the order of the effects that are sought.
+
+    """
     there = {"": True}
     there["tracker"] = any(view.tracks for view in observation.views.values())
     there["motion"] = bool(np.any(np.abs(observation.rows.rate) > 0.05))
@@ -68,7 +76,15 @@ class Tolerances(NamedTuple):
         return self.columns.shape[1]
 
     def effects(self, background: Array) -> list[Effect]:
-        """Return the effects of deviations, the last numbers of a fitted background (n,)."""
+        """Return the effects of a healthy arm's deviations in a fit.
+
+        Args:
+            background: Numbers of a fitted background, (n,), those of the deviations last.
+
+        Returns:
+            Those that change something.
+
+        """
         numbers = self.mixed @ background[len(background) - self.size :]
         made = [one.at(one.start + numbers[place]) for one, place in self.each]
         return [one for one in made if not one.changes_nothing]
@@ -108,7 +124,17 @@ class Forms:
         self.behind.remember(self._matrix)
 
     def reduced(self, behind: Background, rows: Array) -> Iterator[tuple[Candidate, Array, Array]]:
-        """Yield every candidate with G (p, p) and b (p,), as `Background.reduced` has them."""
+        """Yield every candidate beside a background.
+
+        Args:
+            behind: What is fitted beside.
+            rows: Whitened residuals, (N,); they may not be changed later.
+
+        Yields:
+            The candidate, G (p, p) and b (p,), as `Background.reduced` has them; p counts its
+            linear numbers.
+
+        """
         cross = behind.dot(self._matrix)
         back = behind.solve(cross)
         along = self._matrix.T @ rows - back.T @ behind.along(rows)
@@ -116,7 +142,16 @@ class Forms:
             yield one, own - cross[:, place].T @ back[:, place], along[place]
 
     def judged(self, rows: Array, behind: Background) -> list[tuple[Candidate, Evidence]]:
-        """Every form's evidence on rows (N,) beside a background, jumps in time included."""
+        """Return every form's evidence beside a background, jumps in time included.
+
+        Args:
+            rows: Whitened residuals, (N,); they may not be changed later.
+            behind: What is fitted beside.
+
+        Returns:
+            Forms with their evidence against none, not sorted.
+
+        """
         out = [
             (one, evidence(gram, along, one.typical[: len(along)]))
             for one, gram, along in self.reduced(behind, rows)
@@ -146,7 +181,15 @@ def _columns(observation: Observation, candidate: Candidate) -> Array:
 
 
 def unknown_columns(observation: Observation) -> Array:
-    """Return how the prediction changes (N, 18) by each of `Unknowns`."""
+    """Return how the prediction changes by each of `Unknowns`.
+
+    Args:
+        observation: What was measured.
+
+    Returns:
+        Columns, (N, 18), in the rows' units over N, N.m, m or rad.
+
+    """
     steps = np.array([1e-2] * 3 + [1e-3] * 3 + [1e-4] * 6 + [1.0] * 6)
     columns = []
     for k, step in enumerate(steps):
@@ -159,7 +202,18 @@ def unknown_columns(observation: Observation) -> Array:
 def background(
     observation: Observation, unknowns: Array, columns: Iterable[tuple[Candidate, Array]]
 ) -> tuple[Background, Tolerances]:
-    """Join unknowns (N, 18), places of the arm, and tolerances among candidates' columns (N, p)."""
+    """Join unknowns, places of the arm, and tolerances among candidates' columns.
+
+    Args:
+        observation: Its specification and earlier recordings give the tolerances' prior.
+        unknowns: Columns of `unknown_columns`, (N, 18).
+        columns: Candidates with their columns, (N, p); those that a healthy arm has none of are
+            left out.
+
+    Returns:
+        What is fitted beside every hypothesis, in this order, and its tolerances.
+
+    """
     places = _place_columns(observation)
     parts = [unknowns, places]
     std = [np.array([_ZERO_N] * 3 + [_ZERO_NM] * 3 + [np.inf] * 12)]
@@ -239,7 +293,15 @@ def _place_columns(observation: Observation) -> Array:
 
 
 def healthy_background(observation: Observation) -> Background:
-    """Return unknowns and a healthy arm's tolerances alone."""
+    """Return unknowns and a healthy arm's tolerances alone.
+
+    Args:
+        observation: What was measured.
+
+    Returns:
+        The same background as that of `Forms`.
+
+    """
     unknowns = unknown_columns(observation)
     known = candidates(observation)
     for name in sought(observation.recording.arm):

@@ -45,13 +45,31 @@ class ForceField(Effect):
     at_m: tuple[float, ...] = (0.0,) * 3
 
     def wrench(self, when: Instants, posture: Posture) -> Array | None:
-        """Return the field's wrench (n, 6) about the sensor's origin in ft_sensor."""
+        """Return the field's wrench about the sensor's origin.
+
+        Args:
+            when: Times of n samples; a field doesn't ask for them.
+            posture: The true arm's state.
+
+        Returns:
+            Wrenches in ft_sensor, (n, 6), N and N.m.
+
+        """
         force = self.force(posture.rotation, posture.origin)
         in_sensor = np.einsum("nji,nj->ni", posture.rotation, force)
         return np.concatenate([in_sensor, np.cross(self.attachment_m, in_sensor)], axis=1)
 
     def force(self, rotation: Array, origin: Array) -> Array:
-        """Return the force (n, 3) in base_link, N, at poses (n, 3, 3), (n, 3) of the sensor."""
+        """Return the force at poses of the sensor.
+
+        Args:
+            rotation: R_base_sensor, (n, 3, 3).
+            origin: The sensor's origin in base_link, (n, 3), m.
+
+        Returns:
+            Forces in base_link, (n, 3), N.
+
+        """
         xx, yy, zz, xy, xz, yz = self.stiffness_n_m
         stiffness = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         place = origin + rotation @ np.asarray(self.attachment_m) - np.asarray(self.at_m)
@@ -88,6 +106,14 @@ class FrictionInJoints(Effect):
         """Return an arm's without any friction; thresholds are shares of what 10 N at home load.
 
         A delta's carriages share weights, and the two rods of each leg.
+
+        Args:
+            arm: With its stiffness; a rigid joint has no play.
+            tip_m: Tip in ft_sensor, (3,), m.
+
+        Returns:
+            Four plays for each joint or group, weights 0.
+
         """
         count, stiffness = len(arm.joints), joint_stiffness(arm)
         groups: list[tuple[int, ...]] = [
@@ -110,7 +136,16 @@ class FrictionInJoints(Effect):
         return np.array([threshold for _, threshold in self.plays])
 
     def of_numbers(self, weights: Array, thresholds: Array) -> FrictionInJoints:
-        """Return the same joints with other weights and thresholds."""
+        """Return the same joints with other weights and thresholds.
+
+        Args:
+            weights: One for each play.
+            thresholds: One for each play, N or N.m.
+
+        Returns:
+            A copy.
+
+        """
         plays = tuple(
             (joints, float(one)) for (joints, _), one in zip(self.plays, thresholds, strict=True)
         )
@@ -138,7 +173,17 @@ class FrictionInJoints(Effect):
         return np.array(self.weights)
 
     def deflect(self, when: Instants, loading: Loading) -> Array | None:
-        """Return how far the tip (n, 6) stands behind."""
+        """Return how far the tip stands behind.
+
+        Args:
+            when: Times of n samples in order; plays start without a load.
+            loading: What bends the arm.
+
+        Returns:
+            Displacements of the tip in base_link, (n, 6), m and rad; None without friction or
+            samples.
+
+        """
         pairs = zip(self.plays, self.weights, strict=True)
         there = [
             (joint, threshold, weight)
@@ -155,9 +200,18 @@ class FrictionInJoints(Effect):
         return np.asarray(-np.einsum("nij,nj->ni", columns[:, :, joints], slack))
 
     def residual_fraction(self, joints: Array, tip_m: Array, arm: Arm) -> float:
-        """Return what stays of the deflection after a push over that under it, at joints (k,).
+        """Return what stays of the deflection after a push over that under it.
 
-        In the mean square of one push along each axis of base_link.
+        In the mean square of one push of 10 N along each axis of base_link.
+
+        Args:
+            joints: Where the arm is pushed, (k,), m and rad.
+            tip_m: Tip in ft_sensor, (3,), m.
+            arm: With its stiffness.
+
+        Returns:
+            A share, 0 without friction.
+
         """
         compliance = arm.tip_compliance(joints, tip_m)
         stayed = largest = 0.0
@@ -199,11 +253,29 @@ class SoftSaturation(Effect):
         return float(np.exp(self.log_limit))
 
     def read(self, when: Instants, wrench: Array) -> Array:
-        """Return the reading (n, 6) of a true wrench (n, 6)."""
+        """Return the reading of a true wrench.
+
+        Args:
+            when: Times of n samples; not used.
+            wrench: True wrenches in ft_sensor, (n, 6), N and N.m.
+
+        Returns:
+            Readings, (n, 6).
+
+        """
         return self._bent(wrench, 1.0, np.inf)
 
     def unread(self, when: Instants, reading: Array) -> Array:
-        """Return the true wrench (n, 6) of a reading (n, 6); of one at the limit, what is sure."""
+        """Return the true wrench of a reading; of one at the limit, what is sure.
+
+        Args:
+            when: Times of n samples; not used.
+            reading: Readings in ft_sensor, (n, 6), N and N.m.
+
+        Returns:
+            Wrenches, (n, 6).
+
+        """
         return self._bent(reading, -1.0, _NEAREST)
 
     def _bent(self, values: Array, sign: float, most: float) -> Array:

@@ -40,10 +40,20 @@ class Jump:
     def judged(
         self, observation: Observation, unknowns: Array, rows: Array, behind: Background
     ) -> tuple[Candidate, Evidence] | None:
-        """Return the likeliest jump in rows (N,), and the evidence of one at any time.
+        """Return the likeliest jump, and the evidence of one at any time.
 
-        Where the time is not known, a jump at any of them shares the probability. None where no
-        time is tried. unknowns (N, 18): columns of `Unknowns`.
+        Where the time is not known, a jump at any of them shares the probability.
+
+        Args:
+            observation: What was measured.
+            unknowns: Columns of `Unknowns`, (N, 18).
+            rows: Whitened residuals, (N,).
+            behind: What is fitted beside.
+
+        Returns:
+            The jump's form with the interval of its time, and its evidence; None where no time is
+            tried.
+
         """
         times = self._times(observation)
         if not times:

@@ -32,12 +32,28 @@ RECORDS: Mapping[str, DiagnosedEffect] = {
 
 
 def record_of(identity: str) -> DiagnosedEffect:
-    """Return the record of an effect, by its name or by `Effect.identity`."""
+    """Return the record of an effect.
+
+    Args:
+        identity: Its name, or `Effect.identity`.
+
+    Returns:
+        The record in RECORDS.
+
+    """
     return RECORDS[identity.partition(":")[0]]
 
 
 def sought(arm: Arm) -> dict[str, Effect]:
-    """Return what is looked for on an arm, by identity: effects that change nothing yet."""
+    """Return what is looked for on an arm.
+
+    Args:
+        arm: Its revolute joints have effects of their own.
+
+    Returns:
+        By identity, effects that change nothing yet.
+
+    """
     found = identities(arm)
     if arm.joint_names == GALEN.joint_names:
         for record in RECORDS.values():

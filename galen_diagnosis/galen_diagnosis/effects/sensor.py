@@ -111,7 +111,15 @@ def crosstalks() -> list[tuple[str, str, simulated.Crosstalk]]:
 
 
 def crosstalk_candidate(effect: simulated.Crosstalk) -> Candidate:
-    """Return the form of one pair; coefficients between force and torque have a metre in them."""
+    """Return the form of one pair; coefficients between force and torque have a metre in them.
+
+    Args:
+        effect: The pair of axes.
+
+    Returns:
+        The form; its coefficient's unit is 1, m or 1/m.
+
+    """
     metre = 0.1
     unit = 1.0
     if (effect.from_axis[0] == "f") != (effect.to_axis[0] == "f"):
@@ -124,7 +132,16 @@ def crosstalk_candidate(effect: simulated.Crosstalk) -> Candidate:
 
 
 def crosstalk_candidates(observation: Observation, zero: Array) -> list[Candidate]:
-    """Return all pairs; zero (N, 6): columns of the sensor's zero."""
+    """Return all pairs of axes.
+
+    Args:
+        observation: What was measured.
+        zero: Columns of the sensor's zero, (N, 6).
+
+    Returns:
+        30 forms.
+
+    """
     reading = _at_rows(observation)
     found = []
     for from_axis, to_axis, effect in crosstalks():
@@ -175,7 +192,16 @@ _BENT = (0.01,) * 3 + (0.2,) * 3
 
 
 def nonlinear_candidates(observation: Observation, zero: Array) -> list[Candidate]:
-    """Return each axis, its square with and without its sign; zero (N, 6) as for crosstalk."""
+    """Return each axis, its square with and without its sign.
+
+    Args:
+        observation: What was measured.
+        zero: Columns of the sensor's zero, (N, 6).
+
+    Returns:
+        12 forms; coefficients in 1/N and 1/(N.m).
+
+    """
     reading = _at_rows(observation)
     found = []
     for axis, name in enumerate(WRENCH_AXES):
@@ -213,9 +239,17 @@ _KNEES, _TOGETHER = (0.08, 0.2, 0.5), ("force", "torque", "all")
 
 
 def lagging_candidates(observation: Observation, zero: Array) -> list[Candidate]:
-    """Return lags of forces, torques or both; zero (N, 6) as for crosstalk.
+    """Return lags of forces, torques or both.
 
     Over a pause of a bag what the loads have left is gone, or stays.
+
+    Args:
+        observation: What was measured.
+        zero: Columns of the sensor's zero, (N, 6).
+
+    Returns:
+        8 forms: linear in the fraction, the knee free in a fit.
+
     """
     found = []
     ways = [*((True, knee) for knee in _KNEES), (False, _KNEES[1])]
@@ -293,7 +327,16 @@ _TABLE_SHARES = (0.97, 0.9, 0.75)
 
 
 def saturation_candidates(observation: Observation, zero: Array) -> list[Candidate]:
-    """Return limits that readings pile up at; zero (N, 6): columns of the sensor's zero."""
+    """Return limits that readings pile up at.
+
+    Args:
+        observation: What was measured.
+        zero: Columns of the sensor's zero, (N, 6).
+
+    Returns:
+        A form for each axis with a pile; its numbers are the loads beyond, two a clipped push.
+
+    """
     found = []
     for axis, name in enumerate(WRENCH_AXES):
         readings = np.concatenate(
@@ -314,9 +357,17 @@ def saturation_candidates(observation: Observation, zero: Array) -> list[Candida
 
 
 def bent_candidates(observation: Observation, zero: Array) -> list[Candidate]:
-    """Return limits that axes bend towards, softly; zero (N, 6): columns of the sensor's zero.
+    """Return limits that axes bend towards, softly.
 
     Far below its limit L a reading falls short by x |x / L|^p / p.
+
+    Args:
+        observation: What was measured.
+        zero: Columns of the sensor's zero, (N, 6).
+
+    Returns:
+        A form for each axis.
+
     """
     true = _at_rows(observation)
     found = []

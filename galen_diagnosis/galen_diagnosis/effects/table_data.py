@@ -48,7 +48,15 @@ class TablePlant:
     by_order: bool = False
 
     def reading(self, effects: Sequence[Effect] = ()) -> Array:
-        """Return the reading (n, 6), N and N.m in the sensor's frame."""
+        """Return the reading of the load with effects.
+
+        Args:
+            effects: Those whose hooks need no joints.
+
+        Returns:
+            Readings in the sensor's frame, (n, 6), N and N.m.
+
+        """
         when = Instants("", self.at_s, self.at_s)
         gravity = self._gravity(effects)
         direction = gravity / np.linalg.norm(gravity, axis=1, keepdims=True)
@@ -67,11 +75,28 @@ class TablePlant:
         return np.asarray(total)
 
     def change(self, effect: Effect) -> Array:
-        """Return what an effect adds to the reading (n, 6)."""
+        """Return what an effect adds to the reading.
+
+        Args:
+            effect: One whose hooks need no joints.
+
+        Returns:
+            Changes in the sensor's frame, (n, 6), N and N.m.
+
+        """
         return self.reading([effect]) - self.reading()
 
     def columns(self, effect: Effect, words: Mapping[str, str] | None = None) -> Columns:
-        """Return the columns of an effect's fitted parameters, by differences at zero."""
+        """Return the columns of an effect's fitted parameters, by differences at zero.
+
+        Args:
+            effect: Changes nothing yet; one whose hooks need no joints.
+            words: Its parameters that are no numbers.
+
+        Returns:
+            Values (n, 6, p), N and N.m, for one usual size of each parameter.
+
+        """
         typical = np.concatenate([part.typicals for part in effect.fitted])
         columns = [
             self.change(effect.with_vector(STEP * size * unit)) / STEP
@@ -95,7 +120,16 @@ class TablePlant:
 
 
 def numbers_of(effect: Effect, typical: Array) -> Mapping[str, Callable[[Array], Array]]:
-    """Return how weights of columns of these sizes become the effect's fitted parameters."""
+    """Return how weights of columns become the effect's fitted parameters.
+
+    Args:
+        effect: Its `fitted` name the parameters.
+        typical: Size of each column, (p,), in the parameters' units.
+
+    Returns:
+        By parameter, a function of the weights (p,).
+
+    """
     found, at = {}, 0
     for part in effect.fitted:
         rows = at if part.size == 1 else slice(at, at + part.size)
@@ -111,7 +145,16 @@ def _scaled(rows: int | slice, typical: Array, weights: Array) -> Array:
 def by_simulator(
     effect: Effect, *, of_the_load: bool = False
 ) -> Callable[[TablePlant], list[Columns] | str]:
-    """Return how an effect shows in a table by the simulator; of_the_load: if a file has that."""
+    """Return how an effect shows in a table by the simulator.
+
+    Args:
+        effect: Changes nothing yet.
+        of_the_load: Whether it shows only where the load is a file's and not fitted.
+
+    Returns:
+        The way in which it shows in a plant, or why it can't.
+
+    """
 
     def in_table(plant: TablePlant) -> list[Columns] | str:
         if of_the_load and not plant.known_load:
@@ -145,6 +188,17 @@ class JointTerms:
 def in_lag(
     values: Array, name: str, size: Callable[[Array], Array], *, positive: bool = False
 ) -> Columns:
-    """Return the way of columns (n,) or (n, k) of the lag; size: of weights, a parameter."""
+    """Return the way of columns of a joint's lag.
+
+    Args:
+        values: Columns, (n,) or (n, k), rad.
+        name: Name of the parameter.
+        size: The parameter as a function of the weights.
+        positive: Whether only weights with a parameter above 0 are allowed.
+
+    Returns:
+        Columns of one channel.
+
+    """
     allowed = (lambda w: bool(size(w) > 0.0)) if positive else (lambda w: True)
     return Columns(values.reshape(len(values), 1, -1), {name: size}, allowed=allowed)

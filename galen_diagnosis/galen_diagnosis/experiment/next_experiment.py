@@ -109,10 +109,19 @@ class Experiment:
 def propose(
     alternatives: Sequence[Alternative], tool: CalibrationFile, stood: Array | None = None
 ) -> Experiment | None:
-    """Return the next experiment for two or more hypotheses; None where none would help.
+    """Return the next experiment for two or more hypotheses.
 
-    Of more than four the likeliest four count. stood (n, joints): where the recording shows the arm
-    standing, m and rad; the Galen needs none.
+    Of more than four the likeliest four count.
+
+    Args:
+        alternatives: Hypotheses as fitted to the recording, with their probabilities.
+        tool: The tool's file, with the arm.
+        stood: Where the recording shows the arm standing, (n, joints), m and rad, n > 0; the Galen
+            needs none.
+
+    Returns:
+        The experiment; None where none would help, or fewer than two hypotheses are left.
+
     """
     known = sorted(alternatives, key=lambda one: -one.probability)[:_MOST_ALTERNATIVES]
     known = [one for one in known if one.probability > 0.0]
@@ -183,7 +192,19 @@ class _Range:
 def proposals(
     alternatives: Sequence[Alternative], tool: CalibrationFile, stood: Array | None = None
 ) -> Iterator[Proposal]:
-    """Yield experiments, from the least trouble to the most; `stood` as `propose` has it."""
+    """Yield experiments, from the least trouble to the most.
+
+    Args:
+        alternatives: Hypotheses as they are in another session; poses are chosen for them.
+        tool: The tool's file, with the arm.
+        stood: Where the recording shows the arm standing, (n, joints), m and rad, n > 0; the Galen
+            needs none.
+
+    Yields:
+        Still poses, the same in reversed order, with the tracker, with a second mass (of a tool
+        with one), a motion at two speeds, pushes.
+
+    """
     where = _Range.of(tool, stood)
     poses = _chosen_poses(alternatives, where, tracker=False)
     count, joints = len(poses), where.joints(poses)
@@ -289,9 +310,16 @@ _SWEEP_REMARK = (
 
 
 def write_sweep(experiment: Experiment, path: Path, arm: Arm) -> None:
-    """Write it as parameters of the arm's calibration_node or collection_node, whole or not at all.
+    """Write an experiment as parameters of the node that runs it, whole or not at all.
 
-    Raises GalenError for an experiment that neither runs, and where it can't be written.
+    Args:
+        experiment: What to do.
+        path: YAML file to write.
+        arm: The Galen needs no description, of another arm the command names one.
+
+    Raises:
+        GalenError: No node runs the experiment, or the file can't be written.
+
     """
     proposal = experiment.proposal
     if proposal.program == "none":

@@ -62,7 +62,15 @@ class Alternative:
         return np.concatenate([np.zeros(0), *(effect.vector() for effect in self.effects)])
 
     def with_vector(self, vector: Array) -> tuple[Effect, ...]:
-        """Return the effects with other numbers."""
+        """Return the effects with other numbers.
+
+        Args:
+            vector: All their `vector()`s one after the other, (k,).
+
+        Returns:
+            The effects in the same order.
+
+        """
         effects, at = [], 0
         for effect in self.effects:
             size = len(effect.vector())
@@ -106,15 +114,31 @@ class Alternative:
 
 
 def typical_sizes(effects: Sequence[Effect]) -> Array:
-    """Return the fitted parameters' usual sizes (k,), in their order."""
+    """Return the fitted parameters' usual sizes.
+
+    Args:
+        effects: Effects of one hypothesis.
+
+    Returns:
+        Sizes in the order of the effects' numbers, (k,), in the parameters' units.
+
+    """
     sizes = [part.typicals for effect in effects for part in effect.fitted]
     return np.concatenate([np.zeros(0), *sizes])
 
 
 def linearise(trials: Sequence[Trial], alternative: Alternative) -> tuple[Array, Array]:
-    """Return what a hypothesis shows (n,), and a column (n, k) a deviation, by differences.
+    """Return what a hypothesis shows in an experiment, and how that changes by its numbers.
 
-    Central ones, a hundredth of a parameter's typical size to either side.
+    By central differences, a hundredth of a parameter's typical size to either side.
+
+    Args:
+        trials: The experiment's recordings.
+        alternative: The hypothesis, with the covariance of its numbers.
+
+    Returns:
+        Signature (n,), and columns for deviations of unit variance, (n, k), in units of the noise.
+
     """
 
     def shown(vector: Array) -> Array:
@@ -134,7 +158,17 @@ def linearise(trials: Sequence[Trial], alternative: Alternative) -> tuple[Array,
 def separate(
     trials: Sequence[Trial], alternatives: Sequence[Alternative], tool: CalibrationFile
 ) -> tuple[Array, float]:
-    """Return D_ij (h, h) of truth i, hypothesis j, and the expected probability of the truth."""
+    """Return how well an experiment separates hypotheses.
+
+    Args:
+        trials: The experiment's recordings.
+        alternatives: h hypotheses with their probabilities.
+        tool: The tool's file, whose load is known to its covariance.
+
+    Returns:
+        D_ij (h, h) of truth i, hypothesis j, and the expected probability of the truth.
+
+    """
     linear = [linearise(trials, alternative) for alternative in alternatives]
     free, _ = np.linalg.qr(free_columns(trials))
     columns = [part for shown, spread in linear for part in (shown[:, None], spread)]
@@ -191,6 +225,16 @@ def choose_units(
 
     Everything that D holds are sums over units; so poses are taken one by one, the best first, and
     then exchanged until none is better (Fedorov's exchange, as in `galen_model.poses.design`).
+
+    Args:
+        trial: A recording of all units that there are to choose from.
+        alternatives: Two or more hypotheses.
+        tool: The tool's file, whose load is known to its covariance.
+        count: How many units; at most all.
+
+    Returns:
+        Numbers of the units, sorted.
+
     """
     linear = [linearise([trial], alternative) for alternative in alternatives]
     free, known = free_columns([trial]), load_columns([trial], tool)

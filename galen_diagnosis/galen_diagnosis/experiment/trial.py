@@ -101,7 +101,17 @@ def _at(at_s: Array, known_s: Array, values: Array) -> Array:
 
 
 def signature(trial: Trial, effects: Sequence[Effect]) -> Array:
-    """Return rows (n,) in units of the noise: wrench, where untouched, then the tip (m, rad)."""
+    """Return the residual of the nominal simulator that effects make, without noise.
+
+    Args:
+        trial: The recording.
+        effects: A hypothesis' effects; those absent in the trial are left out.
+
+    Returns:
+        Rows (n,) in units of the noise: six axes of the wrench at each untouched sample, then six
+        of the tip's pose in `tracker` (m, rad) at each of the tracker's.
+
+    """
     effects = tuple(effect for effect in effects if effect.name not in trial.absent)
     scene = trial.scene
     push = _Push(scene.wrench_s, trial.pushed)
@@ -122,9 +132,16 @@ def signature(trial: Trial, effects: Sequence[Effect]) -> Array:
 
 
 def free_columns(trials: Sequence[Trial]) -> Array:
-    """Return columns (n, m) over the rows of all trials: unknowns without a prior.
+    """Return columns over the rows of all trials: unknowns without a prior.
 
     Of each trial the sensor's zero (6) and, with a tracker, base_link in `tracker` (6).
+
+    Args:
+        trials: The experiment's recordings.
+
+    Returns:
+        Columns, (n, m), in units of the noise.
+
     """
     return np.asarray(block_diag(*(_free(trial) for trial in trials)))
 
@@ -145,12 +162,20 @@ def _free(trial: Trial) -> Array:
 
 
 def load_columns(trials: Sequence[Trial], tool: CalibrationFile) -> Array:
-    """Return columns (n, 8): one standard deviation each of the file's load errors.
+    """Return columns of the file's load errors, one standard deviation each.
 
     With G(u) of `galen_model.load.model` and C = L L^T the covariance of mass and first moment:
     G(u) L of the tool, where it is on, and of the adapter. One sweep doesn't resolve the two, and
     the file's covariances are then huge; but their sum, which is what the sensor feels, is known
     well: such a file counts as exact.
+
+    Args:
+        trials: The experiment's recordings.
+        tool: The tool's file.
+
+    Returns:
+        Columns over the rows of all trials, (n, 8), in units of the noise.
+
     """
     parts = [tool.load, tool.adapter]
     if tool.unresolved:
@@ -179,9 +204,23 @@ def still_trial(
     absent: frozenset[str] = frozenset(),
     tool_on: bool = True,
 ) -> Trial:
-    """Visit angles (n, k), rad, each averaged until at_s (n,), s; other joints as at `at` or home.
+    """Return a sweep of still poses.
 
     Each joint is held during its average, so that a delay shows nothing here.
+
+    Args:
+        poses: Angles, (n, k), rad, in the order in which they are visited.
+        at_s: When each pose's average ends, (n,), s.
+        average_s: How long readings are averaged.
+        tool: The tool's file, with the arm.
+        at: Joints, m and rad, at which those that slide stay; None for home.
+        tracker: Whether the tracker is on.
+        absent: Names of effects that can't act.
+        tool_on: Whether the tool is on the arm.
+
+    Returns:
+        The trial; a pose is a unit.
+
     """
     joint_s = np.stack([at_s - average_s, at_s], axis=1).ravel()
     middle_s = at_s - 0.5 * average_s
@@ -195,7 +234,18 @@ def still_trial(
 def motion_trial(
     speed: float, length_s: float, tool: CalibrationFile, at: Array | None = None
 ) -> Trial:
-    """Swing all joints about `at` or home, `speed` times as fast as 0.2 Hz; one unit."""
+    """Return a swing of all joints; one unit, without the tracker.
+
+    Args:
+        speed: Over the usual one, at which joints swing at about 0.2 Hz.
+        length_s: How long it lasts.
+        tool: The tool's file, with the arm.
+        at: Joints about which they swing, m and rad; None for home.
+
+    Returns:
+        The trial.
+
+    """
     arm = tool.arm
     at_s = np.arange(0.0, length_s, _MOTION_STEP_S)
     size = arm.by_unit(0.03, 0.5 if arm.delta is None else (0.7, 0.5))
@@ -210,10 +260,19 @@ def motion_trial(
 
 
 def push_trial(places: Array, levels_n: Sequence[float], tool: CalibrationFile) -> Trial:
-    """Rest at each of places (n, joints), m and rad, then push to both sides along each axis.
+    """Return pushes to both sides along each axis, after a rest at each place.
 
     The force acts at the tip along the axes of base_link, up and down by steps of a quarter of its
     level, as collection_node asks for it; the tracker is on.
+
+    Args:
+        places: Joints, (n, joints), m and rad.
+        levels_n: Largest forces of the pushes, N.
+        tool: The tool's file, with the arm.
+
+    Returns:
+        The trial; a place is a unit.
+
     """
     forces = [
         level * sign * axis for level in levels_n for axis in np.eye(3) for sign in (1.0, -1.0)

@@ -80,15 +80,18 @@ def budget(
     off: csc_array,
     floor: float,
 ) -> tuple[BudgetItem, ...]:
-    """Return what the whole gap is made of, the largest share first; () where there is none.
+    """Return what the whole gap is made of.
 
     Args:
-        observation: what was measured.
-        behind: unknowns, places and tolerances, as they are fitted beside every cause.
-        tolerances: a healthy arm's deviations, the last columns of `behind`.
-        best: the causes that were chosen, or none.
-        off: what their models may be off, (N, M).
-        floor: mean square of a row that noise alone gives.
+        observation: What was measured.
+        behind: Unknowns, places and tolerances, as they are fitted beside every cause.
+        tolerances: A healthy arm's deviations, the last columns of `behind`.
+        best: The causes that were chosen, or none.
+        off: What their models may be off, (N, M).
+        floor: Mean square of a row that noise alone gives.
+
+    Returns:
+        Effects and the residual, the largest share first; () where there is no gap.
 
     """
     whole = unknowns_alone(behind).left(observation.nominal)
@@ -132,9 +135,20 @@ def tolerances_after(
     best: Hypothesis,
     off: csc_array,
 ) -> tuple[Array, Array]:
-    """Return a healthy arm's deviations (q,) and their covariance (q, q); arguments as of `budget`.
+    """Return a healthy arm's deviations as a fit with the causes shows them.
 
     Deviations are those that the gap is made of, else zero; the covariance is beside all.
+
+    Args:
+        observation: What was measured.
+        behind: Unknowns, places and tolerances, as they are fitted beside every cause.
+        tolerances: A healthy arm's deviations, the last columns of `behind`.
+        best: The causes that were chosen, or none.
+        off: What their models may be off, (N, M).
+
+    Returns:
+        Numbers of the tolerances, (q,), and their covariance, (q, q).
+
     """
     together = _together(observation, behind, tolerances, best).with_models(best, off)
     mean, covariance = together.posterior(observation, best, np.arange(len(together.gram)))
@@ -365,9 +379,19 @@ def _item(
 
 
 def lies_within(observation: Observation, one: Candidate, values: Array, spread: Array) -> bool:
-    """Whether a fitted effect, at values (p,) with covariance (p, p), is likelier within its limit.
+    """Return whether a fitted effect is likelier within its limit than beyond.
 
     One without a limit is there, and never within.
+
+    Args:
+        observation: Its recording has the specification.
+        one: The effect's form.
+        values: Its fitted numbers, (p,).
+        spread: Their covariance, (p, p).
+
+    Returns:
+        True where fewer than half of draws are beyond.
+
     """
     generator = np.random.default_rng(_SEED)
     *_, chance = _beside_limits(observation, one, values, spread, generator)
@@ -391,9 +415,19 @@ def _beside_limits(
 def limits_of(
     specification: Specification, one: Candidate, named: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Return a specification's limits by the contract's parameters that they are of; {} for none.
+    """Return a specification's limits by the contract's parameters that they are of.
 
     Those of an effect's vector, by name; of another form that of the contract's first number.
+
+    Args:
+        specification: The limits.
+        one: The effect's form.
+        named: The contract's parameters, intervals among them.
+
+    Returns:
+        Limits in the parameters' units, a list of a vector; {} where one of the effect's numbers
+        has none.
+
     """
     name, parts = one.effect.partition(":")[0], one.base.limit_parts
     limits = [specification.limit(name, part) for part in parts]
@@ -415,7 +449,18 @@ def limits_of(
 def beyond_chance(
     observation: Observation, one: Candidate, numbers: Array, limits: Mapping[str, Any]
 ) -> float | None:
-    """Return how many of draws (n, p) of a number are beyond its limit, the most; None without."""
+    """Return how many of an effect's draws are beyond its limit.
+
+    Args:
+        observation: Its recording has the specification.
+        one: The effect's form.
+        numbers: Draws of the free numbers, (n, p).
+        limits: As `limits_of` returns them.
+
+    Returns:
+        Share of draws beyond, of the number that is beyond most often; None without a limit.
+
+    """
     record = record_of(one.effect)
     parts = one.base.limit_parts
     std = None

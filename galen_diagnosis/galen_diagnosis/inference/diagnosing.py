@@ -86,12 +86,29 @@ class Explored:
     within: dict[frozenset[str], frozenset[str]] = field(default_factory=dict)
 
     def beyond(self, names: Iterable[str]) -> frozenset[str]:
-        """Return a set's effects that lie beyond their limits."""
+        """Return a set's effects that lie beyond their limits.
+
+        Args:
+            names: Identities of the set's effects.
+
+        Returns:
+            The set without those in `within`.
+
+        """
         whole = frozenset(names)
         return whole - self.within.get(whole, frozenset())
 
     def equivalents(self, names: tuple[str, ...], effect: str) -> set[str]:
-        """Effects that take the place of one in a set that the rows can't distinguish."""
+        """Return effects that take the place of one in a set that the rows can't distinguish.
+
+        Args:
+            names: Identities of the set's effects.
+            effect: One of them.
+
+        Returns:
+            Identities.
+
+        """
         whole = frozenset(names)
         return {
             name
@@ -102,7 +119,19 @@ class Explored:
 
 
 def explore(recording: DiagnosticRecording, progress: Progress | None = None) -> Explored:
-    """Observe and search."""
+    """Observe a recording and search for the effects behind it.
+
+    Args:
+        recording: What was read.
+        progress: Called with what is done and the share of the whole, 0 ... 1.
+
+    Returns:
+        Hypotheses with all that a posterior needs.
+
+    Raises:
+        GalenError: The recording is too short, or doesn't show its noise.
+
+    """
     say = progress or (lambda what, share: None)
     observation = Observation(recording)
     found = search(observation, progress)
@@ -156,9 +185,22 @@ def diagnose_recording(
     progress: Progress | None = None,
     references: Sequence[DiagnosticRecording] = (),
 ) -> Diagnosis:
-    """Diagnose; progress(what, share of the whole) is called as it goes on.
+    """Diagnose a recording.
 
-    references: earlier recordings of the same arm, by time: what is diagnosed is what has changed.
+    Args:
+        recording: What was read.
+        settings: Of the posterior; None for the package's calibration.
+        progress: Called with what is done and the share of the whole, 0 ... 1.
+        references: Earlier recordings of the same arm, by time: what is diagnosed is what has
+            changed.
+
+    Returns:
+        The answer and the residuals behind it.
+
+    Raises:
+        GalenError: A recording is too short or doesn't show its noise, or a reference's arm has
+            other joints.
+
     """
     say = progress or (lambda what, share: None)
     settings = settings or load_settings()
@@ -188,7 +230,17 @@ def _part(say: Progress, number: int, parts: int, name: str = "") -> Progress:
 
 
 def conclude(explored: Explored, settings: Settings, say: Progress) -> Diagnosis:
-    """Return probabilities, verdict, held-out gap, where it lies, what to do next."""
+    """Return probabilities, verdict, held-out gap, where it lies, what to do next.
+
+    Args:
+        explored: What was looked at.
+        settings: Of the posterior.
+        say: Called with what is done and the share of the whole, 0 ... 1.
+
+    Returns:
+        The answer and the residuals behind it.
+
+    """
     observation, found = explored.observation, explored.found
     chances = posterior(explored.scored, settings)
     explored = replace(explored, within=_within(explored, chances))
@@ -277,7 +329,16 @@ def _fitted(explored: Explored, names: frozenset[str]) -> Hypothesis | None:
 
 
 def fit_of_causes(explored: Explored, settings: Settings) -> Hypothesis:
-    """Return the fit of the causes that are there, or of none."""
+    """Return the fit of the causes that are there, or of none.
+
+    Args:
+        explored: What was looked at.
+        settings: Of the posterior.
+
+    Returns:
+        The likeliest set's fit, unless the verdict is none.
+
+    """
     verdict, best = _verdict(explored, posterior(explored.scored, settings))
     return explored.found.none if best is None or verdict == NONE else best
 

@@ -47,7 +47,13 @@ _ACTS = 0.1
 def missed(hypothesis: Hypothesis, least: float = 0.0) -> float:
     """Return the energy that models miss where no field m shows it: a part of what they explain.
 
-    least: of each, as a part of its amplitude.
+    Args:
+        hypothesis: Effects as fitted.
+        least: Of each effect, as a part of its amplitude.
+
+    Returns:
+        Energy in units of the noise's variance; 0 without effects.
+
     """
     energies = zip(hypothesis.parts, hypothesis.energies_explained(), strict=True)
     return sum(
@@ -57,17 +63,35 @@ def missed(hypothesis: Hypothesis, least: float = 0.0) -> float:
 
 
 def answered(hypothesis: Hypothesis, left: float) -> float:
-    """Return what a hypothesis has to answer for of the structure that it leaves, an energy.
+    """Return what a hypothesis has to answer for of the structure that it leaves.
 
     A model also misses what no field m on such pieces shows: an instant, a corner, the healthy
-    arm's own tolerances where it moves otherwise. Of an effect's energy E a part
-    (_UNSEEN kappa)^2 E, of any effect _LEAST^2 E, spread over some directions, is nothing unlisted.
+    arm's own tolerances where it moves otherwise. Of an effect's energy E a part (_UNSEEN kappa)^2
+    E, of any effect _LEAST^2 E, spread over some directions, is nothing unlisted.
+
+    Args:
+        hypothesis: Effects as fitted.
+        left: Energy, or log evidence, of the structure.
+
+    Returns:
+        At most `left`, in its unit.
+
     """
     return left / (1.0 + missed(hypothesis, _LEAST) / _DIRECTIONS)
 
 
 def gain_and_cost(behind: Background, off: csc_array, rows: Array) -> tuple[float, float]:
-    """Return by how much half the energy falls with columns (N, M) beside, and 1/2 log det."""
+    """Return what columns with unit priors are worth beside a background.
+
+    Args:
+        behind: What is fitted beside.
+        off: Columns, (N, M).
+        rows: Whitened rows before the background's fit, (N,).
+
+    Returns:
+        By how much half the energy falls with the columns, and 1/2 log det.
+
+    """
     cross = behind.dot(off)
     back = behind.solve(cross)
     gram = (off.T @ off).toarray() - cross.T @ back
@@ -78,10 +102,17 @@ def gain_and_cost(behind: Background, off: csc_array, rows: Array) -> tuple[floa
 
 
 def looks_like(others: Sequence[tuple[str, Array]], signature: Array) -> float:
-    """Return by how much what another effect gains may be what these effects' models miss: 0 to 1.
+    """Return by how much what another effect gains may be what these effects' models miss.
 
-    others: names and signatures (N,) of what is there; signature (N,): of another effect beside
-    them. As `answered`, but only where the others act.
+    As `answered`, but only where the others act.
+
+    Args:
+        others: Names and signatures (N,) of what is there.
+        signature: Of another effect beside them, (N,).
+
+    Returns:
+        A share, 0 ... 1.
+
     """
     unseen = sum((_UNSEEN * record_of(name).kappa) ** 2 * one**2 for name, one in others)
     unseen = np.broadcast_to(unseen, signature.shape)
@@ -104,9 +135,15 @@ class Discrepancies:
     def of(
         self, hypothesis: Hypothesis, shown: Sequence[Array] | None = None
     ) -> tuple[csc_array, csc_array]:
-        """Return D of a hypothesis (N, M): what its models may be off, and drifts' knots.
+        """Return D of a hypothesis.
 
-        shown: its effects' `signatures`, where they are known.
+        Args:
+            hypothesis: Effects as fitted.
+            shown: Its effects' `signatures`; None where they aren't known yet.
+
+        Returns:
+            Columns (N, M): what its models may be off, and what drifts do between their knots.
+
         """
         rows = self._observation.rows
         off, rough = [csc_array((len(rows.channel), 0))], [csc_array((len(rows.channel), 0))]
@@ -121,9 +158,16 @@ class Discrepancies:
         return hstack(off, format="csc"), hstack(rough, format="csc")
 
     def signatures(self, hypothesis: Hypothesis) -> list[Array]:
-        """Return what each effect of a hypothesis changes of the rows (N,) beside the others.
+        """Return what each effect of a hypothesis changes of the rows beside the others.
 
-        Less what the unknowns take of it, which shows nowhere.
+        Less what the background takes of it, which shows nowhere.
+
+        Args:
+            hypothesis: Effects as fitted.
+
+        Returns:
+            Changes in the rows' units, each (N,), in the effects' order.
+
         """
         return [self._behind.left(one) for one in hypothesis.changes(self._observation)]
 
@@ -133,7 +177,15 @@ class Discrepancies:
         """Return the evidence that each effect's size changes as another effect's would.
 
         Less what the other effects' models may miss there (`looks_like`).
-        behind: all that was fitted; shown: the effects' `signatures`.
+
+        Args:
+            behind: All that was fitted.
+            hypothesis: Effects as fitted.
+            shown: The effects' `signatures`.
+
+        Returns:
+            One for each effect, in their order.
+
         """
         out = []
         each = list(zip(hypothesis.names, shown, strict=True))

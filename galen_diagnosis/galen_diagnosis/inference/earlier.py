@@ -31,12 +31,16 @@ def after(
     """Return a recording whose nominal model is the arm as an earlier one shows it.
 
     Args:
-        recording: the later one.
-        earlier: with what still earlier ones say of it, if any.
-        tolerances: its deviations of a healthy arm.
-        mean: of their numbers (q,).
-        covariance: of them (q, q).
-        fit: the causes that were there.
+        recording: The later one.
+        earlier: With what still earlier ones say of it, if any.
+        tolerances: Its deviations of a healthy arm.
+        mean: Of their numbers, (q,).
+        covariance: Of them, (q, q).
+        fit: The causes that were there.
+
+    Returns:
+        The later recording with this knowledge; with the first earlier one its limits become those
+        of day-to-day changes.
 
     """
     kept = [(one, place) for one, place in tolerances.each if not record_of(one.effect).of_time]

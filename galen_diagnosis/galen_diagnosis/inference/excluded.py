@@ -54,14 +54,17 @@ _HIDDEN = "something unlisted is there and may hide it"
 
 
 def detection_strength(settings: Settings, effect: str, occam: float, beside: Scored) -> float:
-    """Return D* from which on the posterior answers an effect; infinite where it never does.
+    """Return the strength from which on the posterior answers an effect.
 
     Args:
-        settings: of the posterior.
-        effect: its identity.
+        settings: Of the posterior.
+        effect: Its identity.
         occam: 1/2 log det of its numbers.
-        beside: what is there already, with all that it leaves of the noise as `energy`; of nothing
+        beside: What is there already, with all that it leaves of the noise as `energy`; of nothing
             a `Scored` without names.
+
+    Returns:
+        D*, at least 1; infinite where it never does.
 
     """
 
@@ -90,7 +93,16 @@ def excluded_effects(
 ) -> tuple[Excluded, ...]:
     """Return every effect that was sought and not found, with the size that it may have.
 
-    chosen: the fit that was answered, None for none.
+    Args:
+        explored: What was looked at.
+        chosen: The fit that was answered; None for none.
+        causes: Those of the answer.
+        verdict: That of the answer.
+        settings: Of the posterior.
+
+    Returns:
+        One for each effect, in the order of `sought`.
+
     """
     observation, found = explored.observation, explored.found
     behind, beside = found.behind, Scored((), 0.0, 0.0)

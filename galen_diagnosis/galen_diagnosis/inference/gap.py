@@ -68,7 +68,15 @@ class Gap:
 
 
 def unknowns_alone(behind: Background) -> Background:
-    """Return the background of the unknowns, without a healthy arm's tolerances."""
+    """Return the background of the unknowns, without a healthy arm's tolerances.
+
+    Args:
+        behind: Unknowns first, then what else is fitted beside every cause.
+
+    Returns:
+        Its first 18 columns with their prior.
+
+    """
     return Background(behind.columns[:, :UNKNOWNS], behind.prior_std[:UNKNOWNS])
 
 
@@ -81,7 +89,16 @@ def held_out_gap(
 ) -> Gap:
     """Predict every row from the folds that it isn't in; the fit starts at the hypothesis'.
 
-    behind: unknowns and tolerances; floor: mean square of a row that noise alone gives.
+    Args:
+        observation: What was measured.
+        hypothesis: Effects as fitted to all rows.
+        behind: Unknowns and tolerances.
+        floor: Mean square of a row that noise alone gives.
+        progress: Called with the part and the share of the whole, 0 ... 1.
+
+    Returns:
+        Rows without and with the effects, and the closed fraction.
+
     """
     rows = observation.rows
     before, after = np.zeros(len(rows)), np.zeros(len(rows))
@@ -115,7 +132,18 @@ def held_out_gap(
 def closed_fraction(
     rows: ResidualRows, before: Array, after: Array, floor: float
 ) -> Interval | None:
-    """Return the closed fraction of rows (N,); None where before isn't above the floor."""
+    """Return which part of the gap is closed, with its interval by drawing blocks.
+
+    Args:
+        rows: N rows.
+        before: Held-out rows without the effects, (N,).
+        after: The same with them, (N,).
+        floor: Mean square of a row that noise alone gives.
+
+    Returns:
+        1 for all; None where what is before isn't above the floor.
+
+    """
     blocks = int(rows.block.max()) + 1
     sums = [np.bincount(rows.block, part, blocks) for part in (before**2, after**2)]
     number = np.bincount(rows.block, minlength=blocks).astype(float)
@@ -141,7 +169,17 @@ def _fraction(before: float, after: float, floor: float) -> float | None:
 
 
 def without_unknowns(behind: Background, rows: Array, out: np.ndarray) -> Array:
-    """Return rows held out (m,), less the unknowns as fitted to the other rows (N,)."""
+    """Return rows held out, less the unknowns as fitted to the other rows.
+
+    Args:
+        behind: Unknowns first, then what else is fitted beside every cause.
+        rows: All rows, (N,).
+        out: Which of them are held out, (N,) bool.
+
+    Returns:
+        The m rows held out, (m,).
+
+    """
     unknowns = unknowns_alone(_only(behind, ~out)).fit(np.where(out, 0.0, rows))
     return np.asarray(rows[out] - behind.columns[out, :UNKNOWNS] @ unknowns)
 
@@ -156,9 +194,17 @@ def _only(behind: Background, keep: np.ndarray) -> Background:
 def covariance(
     observation: Observation, behind: Background, off: csc_array, hypothesis: Hypothesis
 ) -> Array:
-    """Return the covariance (p, p) of a hypothesis' numbers: Laplace's, or the sandwich.
+    """Return the covariance of a hypothesis' numbers: Laplace's, or the sandwich.
 
-    behind: unknowns and tolerances; off (N, M): what the effects' models may be off.
+    Args:
+        observation: Its blocks are the sandwich's.
+        behind: Unknowns and tolerances.
+        off: What the effects' models may be off, (N, M).
+        hypothesis: Effects as fitted.
+
+    Returns:
+        Covariance of all numbers in their order, (p, p).
+
     """
     if not hypothesis.parts:
         return hypothesis.covariance
@@ -173,9 +219,17 @@ def covariance(
 
 
 def sandwich(block: np.ndarray, own: Array, left: Array, laplace: Array) -> Array:
-    """Return Laplace's covariance (p, p), widened to the sandwich's deviations where they are more.
+    """Return Laplace's covariance, widened to the sandwich's deviations where they are more.
 
-    block (N,); own (N, p): columns less what the background takes of them; left (N,): rows.
+    Args:
+        block: Number of each row's block, (N,).
+        own: Columns less what the background takes of them, (N, p).
+        left: Rows after the fit, (N,).
+        laplace: Laplace's covariance, (p, p).
+
+    Returns:
+        Covariance with the same correlations, (p, p).
+
     """
     order = np.argsort(block, kind="stable")
     edges = np.flatnonzero(np.diff(block[order])) + 1
@@ -190,7 +244,17 @@ def sandwich(block: np.ndarray, own: Array, left: Array, laplace: Array) -> Arra
 def parameters(
     observation: Observation, hypothesis: Hypothesis, spread: Array
 ) -> list[dict[str, Any]]:
-    """Return of each effect the contract's parameters with intervals."""
+    """Return the contract's parameters of each effect, with intervals.
+
+    Args:
+        observation: What was measured.
+        hypothesis: Effects as fitted.
+        spread: Covariance of all its numbers, (p, p).
+
+    Returns:
+        Parameters by name, for each effect.
+
+    """
     generator = np.random.default_rng(_PARAMETER_SEED)
     each = zip(hypothesis.parts, hypothesis.values, hypothesis.slices(), strict=True)
     return [
@@ -200,14 +264,35 @@ def parameters(
 
 
 def drawn(values: Array, spread: Array, generator: np.random.Generator) -> Array:
-    """Draw numbers (n, p) about values (p,) with a covariance (p, p)."""
+    """Draw numbers of a normal distribution.
+
+    Args:
+        values: Mean, (p,).
+        spread: Covariance, (p, p).
+        generator: Random generator, advanced by 400 p numbers.
+
+    Returns:
+        400 draws, (400, p).
+
+    """
     return np.asarray(values + generator.standard_normal((_DRAWS, len(values))) @ _root(spread))
 
 
 def parameters_of(
     observation: Observation, part: Candidate, values: Array, numbers: Array
 ) -> dict[str, Any]:
-    """Return the contract's parameters of one effect, with intervals by draws (n, p)."""
+    """Return the contract's parameters of one effect, with intervals.
+
+    Args:
+        observation: What was measured.
+        part: The effect's form.
+        values: Its fitted numbers, (p,).
+        numbers: Draws of them, (n, p), whose quantiles are the intervals.
+
+    Returns:
+        Parameters by name: intervals, lists or mappings of them, and words as they are.
+
+    """
     named_by = record_of(part.effect).parameters
     draws = [named_by(observation, part.at(one)) for one in numbers]
     return {

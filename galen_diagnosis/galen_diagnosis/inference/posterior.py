@@ -122,9 +122,17 @@ class Weighed:
 
 
 def weighed(found: Found, discrepancies: Discrepancies) -> list[Weighed]:
-    """Weigh all hypotheses, the likeliest first.
+    """Weigh all hypotheses.
 
     What an effect gains beside others may be what their models miss (`looks_like`).
+
+    Args:
+        found: What a search left.
+        discrepancies: What models may be off in this recording.
+
+    Returns:
+        Hypotheses with what their models may be off, the likeliest first.
+
     """
     out: list[Weighed] = []
     for one in found.hypotheses:
@@ -168,10 +176,19 @@ def _excuse(every: list[Weighed], of: Weighed) -> None:
 
 
 def scored(of: Sequence[Weighed], left: float, structure: float) -> list[Scored]:
-    """Hypotheses, the likeliest first, as a posterior sees them.
+    """Return hypotheses as a posterior sees them.
 
-    left: energy of the structure that the first leaves, structure: its log evidence. Energies count
-    from the least of those about as likely as it: unlikely ones buy theirs by what models miss.
+    Energies count from the least of those about as likely as the first: unlikely ones buy theirs by
+    what models miss.
+
+    Args:
+        of: Hypotheses, the likeliest first.
+        left: Energy of the structure that the first leaves.
+        structure: Log evidence of that structure.
+
+    Returns:
+        The same in the same order.
+
     """
     least = min(one.energy for one in of if one.log_bayes > of[0].log_bayes - _AS_LIKELY)
     found = [
@@ -258,7 +275,16 @@ def _relief(of: Sequence[Scored]) -> float:
 
 
 def posterior(of: Sequence[Scored], settings: Settings) -> Probabilities:
-    """Probabilities."""
+    """Return the hypotheses' probabilities.
+
+    Args:
+        of: Hypotheses, none among them.
+        settings: Costs and temper.
+
+    Returns:
+        Probabilities that sum to one over the hypotheses and unknown, and those of each effect.
+
+    """
     relief = _relief(of)
     logs = np.array([_log(one, one.energy, relief, settings) for one in of])
     costs = np.array([_cost(len(one.names), settings) for one in of])

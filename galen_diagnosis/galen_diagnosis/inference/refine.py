@@ -67,7 +67,15 @@ class Hypothesis:
         return tuple(energies)
 
     def changes(self, observation: Observation) -> list[Array]:
-        """Return what each effect changes of the rows (N,) beside the others."""
+        """Return what each effect changes of the rows beside the others.
+
+        Args:
+            observation: What was measured.
+
+        Returns:
+            Changes in the rows' units, each (N,), in the effects' order.
+
+        """
         whole = observation.change(self.effects)
         out = []
         for part, values, one in zip(self.parts, self.values, self.effects, strict=True):
@@ -86,7 +94,16 @@ class Hypothesis:
 
 
 def nothing(observation: Observation, behind: Background) -> Hypothesis:
-    """No effect."""
+    """Return the fit of no effect.
+
+    Args:
+        observation: What was measured.
+        behind: Unknowns and tolerances.
+
+    Returns:
+        A hypothesis without parts.
+
+    """
     return refine(observation, behind, (), ())
 
 
@@ -98,9 +115,19 @@ def refine(
     keep: np.ndarray | None = None,
     none_cost: float | None = None,
 ) -> Hypothesis:
-    """Fit parts from the start; keep (N,) bool: only these rows count (None: all).
+    """Fit effects together on the simulator.
 
-    none_cost: F without effects, of which the evidence is counted; None counts from zero.
+    Args:
+        observation: What was measured.
+        behind: What is fitted beside; with `keep`, its other rows have to be zero.
+        parts: Forms of the effects.
+        start: Numbers of each form where the fit begins, (p,).
+        keep: The rows that count, (N,) bool; None for all.
+        none_cost: F without effects, from which the evidence counts; None to leave F out of it.
+
+    Returns:
+        The hypothesis at the minimum of F, or after 12 steps.
+
     """
     weight = None if keep is None else keep.astype(float)
     sizes = [len(values) for values in start]  # of a limit that no push reaches, none

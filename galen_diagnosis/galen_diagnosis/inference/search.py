@@ -57,7 +57,16 @@ class Found:
 
 
 def search(observation: Observation, progress: Progress | None = None) -> Found:
-    """Look for the effects behind the rows."""
+    """Look for the effects behind the rows.
+
+    Args:
+        observation: What was measured.
+        progress: Called with what is done and the share of the whole, 0 ... 1.
+
+    Returns:
+        Fitted hypotheses, and the linear evidence of every effect.
+
+    """
     say = progress or (lambda what, share: None)
     say("effects' columns", 0.1)
     forms = Forms(observation)

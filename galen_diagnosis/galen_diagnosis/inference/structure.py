@@ -53,6 +53,14 @@ def remaining_energy(rows: ResidualRows, residual: Array) -> tuple[float, float]
     """Return the energy of cells' means that noise and its estimate can't be, and the floor.
 
     The floor is the mean square of a row about its cell's mean, what noise alone gives a row.
+
+    Args:
+        rows: N rows.
+        residual: Whitened rows after a fit, (N,).
+
+    Returns:
+        The energy, at least 0, and the floor, both in units of the noise's variance.
+
     """
     cell = _cells(rows)
     number = np.bincount(cell)
@@ -98,10 +106,16 @@ class Structure(NamedTuple):
 
 
 def structures(observation: Observation, behind: Background, residual: Array) -> list[Structure]:
-    """Return each family's evidence on what a fit leaves, the likeliest first.
+    """Return each family's evidence on what a fit leaves.
 
-    residual (N,): rows that were fitted, background included; behind: background and the columns of
-    the effects that were fitted.
+    Args:
+        observation: What was measured.
+        behind: Background and the columns of the effects that were fitted.
+        residual: Rows that were fitted, background included, (N,).
+
+    Returns:
+        One for each family, the likeliest first; the number of looks is paid.
+
     """
     rows = observation.rows
     means = _means(rows)
@@ -238,7 +252,16 @@ _UNSURE = 0.15
 
 
 def oscillation(streams: Sequence[Stream]) -> Structure | None:
-    """Return the clearest of the wrench's streams of a residual; None where none was tested."""
+    """Return the clearest oscillation in the wrench's streams of a residual.
+
+    Args:
+        streams: Residuals after a fit; those of tip and marker are left out.
+
+    Returns:
+        The band and channel, or all channels, with the number of looks paid; None where no band has
+        more than its noise.
+
+    """
     found: list[Structure] = []
     looks = 0
     for stream in streams:
@@ -272,9 +295,14 @@ def oscillation(streams: Sequence[Stream]) -> Structure | None:
 
 
 def coefficients(stream: Stream) -> tuple[Array, Array]:
-    """Return frequencies (n,) in Hz and squared coefficients (n, k) over the noise's variance.
+    """Return frequencies and squared coefficients of a stream's pieces.
 
-    Samples with a NaN in any channel are holes.
+    Args:
+        stream: n samples of k channels; those with a NaN in any channel are holes.
+
+    Returns:
+        Frequencies (m,), Hz, and squares over the noise's variance (m, k), of all pieces.
+
     """
     frequencies, squares = [np.zeros(0)], [np.zeros((0, len(stream.channels)))]
     if len(stream.at_s) > 1:

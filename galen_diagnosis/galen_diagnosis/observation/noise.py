@@ -47,10 +47,17 @@ class ChannelNoise:
         return float((1.0 - self.coefficients.sum()) / self.innovation)
 
     def lead_s(self, step_s: float) -> float:
-        """By how much whitening lets a slow signal of samples step_s apart come earlier, s.
+        """Return by how much whitening lets a slow signal come earlier.
 
-        To first order x_t - sum a_k x_{t-k} = (1 - sum a) x(t + lead), lead = sum k a_k step /
-        (1 - sum a).
+        To first order x_t - sum a_k x_{t-k} = (1 - sum a) x(t + lead), lead = sum k a_k step / (1 -
+        sum a).
+
+        Args:
+            step_s: Time between samples.
+
+        Returns:
+            The lead, s.
+
         """
         lags = np.arange(1, self.order + 1)
         return float(step_s * (lags @ self.coefficients) / (1.0 - self.coefficients.sum()))
@@ -61,14 +68,30 @@ class ChannelNoise:
         return float(np.sqrt(self.covariance(1)[0]))
 
     def covariance(self, lags: int) -> Array:
-        """Autocovariances (lags,) of the process, by its spectrum."""
+        """Return autocovariances of the process, by its spectrum.
+
+        Args:
+            lags: Number of lags, in samples, from 0 on.
+
+        Returns:
+            Autocovariances (lags,), in the channel's unit squared.
+
+        """
         frequency = np.fft.rfftfreq(4096, 1.0 / (2.0 * np.pi))
         turns = np.exp(-1j * np.outer(frequency, np.arange(1, self.order + 1)))
         density = self.innovation**2 / np.abs(1.0 - turns @ self.coefficients) ** 2
         return np.asarray(np.fft.irfft(density, 4096)[:lags])
 
     def whitened(self, residual: Array) -> Array:
-        """Rows (n, ...) of one stretch to white rows of unit variance; the first p are NaN."""
+        """Return white rows of unit variance.
+
+        Args:
+            residual: Samples of one stretch without a gap, (n, ...), in the channel's unit.
+
+        Returns:
+            Rows of the same shape; the first `order` are NaN.
+
+        """
         out = residual.astype(float).copy()
         for lag, coefficient in enumerate(self.coefficients, start=1):
             out[lag:] -= coefficient * residual[:-lag]
@@ -77,7 +100,16 @@ class ChannelNoise:
 
 
 def smooth_basis(at_s: Array, knot_s: float) -> Array:
-    """Cubic B-splines (n, k) over times at_s (n,) with knots about knot_s apart; k <= n / 3."""
+    """Return cubic B-splines over times.
+
+    Args:
+        at_s: Times in increasing order, (n,), s.
+        knot_s: About how far apart knots are.
+
+    Returns:
+        Splines (n, k), k at most n / 3 from 12 times on; of fewer than 8 a constant.
+
+    """
     from scipy.interpolate import BSpline
 
     length = at_s[-1] - at_s[0]
@@ -93,11 +125,17 @@ def smooth_basis(at_s: Array, knot_s: float) -> Array:
 def channel_noise(
     stretches: list[tuple[Array, Array]], knot_s: float, quantum_floor: float = 1e-12
 ) -> list[ChannelNoise]:
-    """Noise of k channels; stretches of (at_s (n,), residual (n, k)).
+    """Return the noise of each channel, from stretches of its residual.
 
-    knot_s: the smooth curve that is taken away bends this often; what is slower isn't noise here.
-    A channel that doesn't vary at all (frozen) gets quantum_floor. Empty where no stretch is long
-    enough to tell.
+    Args:
+        stretches: Times (n,), s, and residuals (n, k) in the channels' units, each without a gap.
+        knot_s: The smooth curve that is taken away bends this often; what is slower isn't noise
+            here.
+        quantum_floor: Innovation of a channel that doesn't vary at all (frozen), in its unit.
+
+    Returns:
+        One for each of k channels; empty where no stretch is long enough.
+
     """
     lags = _HIGHEST_ORDER + 1
     pieces: list[tuple[Array, Array]] = []

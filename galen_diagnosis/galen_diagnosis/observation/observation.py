@@ -155,11 +155,29 @@ class Observation:
     # The simulator's predictions
 
     def residual(self, effects: Sequence[Effect], unknowns: Unknowns | None = None) -> Array:
-        """Return rows (N,) with the effects in the simulator."""
+        """Return the rows with effects in the simulator.
+
+        Args:
+            effects: Beside those of the nominal model.
+            unknowns: Beside the effects; None for zero.
+
+        Returns:
+            Whitened residuals, (N,).
+
+        """
         return self.nominal - self.change(effects, unknowns)
 
     def change(self, effects: Sequence[Effect], unknowns: Unknowns | None = None) -> Array:
-        """Return what effects and unknowns add to the prediction, in the rows' units (N,)."""
+        """Return what effects and unknowns add to the prediction.
+
+        Args:
+            effects: Beside those of the nominal model.
+            unknowns: Beside the effects; None for zero.
+
+        Returns:
+            Changes in the rows' units, (N,).
+
+        """
         out = []
         for name, view in self.views.items():
             parts = self._difference(name, effects, unknowns)
@@ -172,24 +190,58 @@ class Observation:
         return np.concatenate(out)
 
     def nominal_reading(self, name: str) -> Array:
-        """Return what the nominal arm would read at a bag's wrench rows (nw, 6)."""
+        """Return what the nominal arm would read at a bag's wrench rows.
+
+        Args:
+            name: Name of the bag.
+
+        Returns:
+            Readings in ft_sensor, (nw, 6), N and N.m.
+
+        """
         return self._none[name][0][self.views[name].shows]
 
     def applied_load(self, name: str) -> tuple[Array, Array]:
-        """Return times (n,) and the applied wrench (n, 6) by the nominal arm; 0 untouched."""
+        """Return the applied wrench by the nominal arm, reading less prediction.
+
+        Args:
+            name: Name of the bag.
+
+        Returns:
+            Times of the wrench's groups, (n,), s since the bag's first stamp, and wrenches in
+            ft_sensor, (n, 6), N and N.m, 0 where untouched.
+
+        """
         scene = self.views[name].scene
         load = scene.reading - self._none[name][0]
         return scene.wrench_s, np.where(scene.touched[:, None], load, 0.0)
 
     def sensor_poses(self, most: int) -> tuple[Array, Array]:
-        """Return the sensor's rotations and origins at some of the reported joints."""
+        """Return the sensor's poses at some of the reported joints of all bags.
+
+        Args:
+            most: About how many.
+
+        Returns:
+            Rotations R_base_sensor (m, 3, 3) and origins in base_link (m, 3), m.
+
+        """
         joints = np.concatenate([view.scene.joints for view in self.views.values()])
         return self.recording.arm.sensor_pose(joints[:: max(len(joints) // most, 1)])
 
     def streams_with(
         self, effects: Sequence[Effect], unknowns: Unknowns | None = None
     ) -> tuple[Stream, ...]:
-        """Return the residual streams with effects and unknowns in the simulator."""
+        """Return the residual streams with effects and unknowns in the simulator.
+
+        Args:
+            effects: Beside those of the nominal model.
+            unknowns: Beside the effects; None for zero.
+
+        Returns:
+            One for each of `streams`, in the channels' units.
+
+        """
         out = []
         changes = {name: self._difference(name, effects, unknowns) for name in self.views}
         for stream in self.streams:

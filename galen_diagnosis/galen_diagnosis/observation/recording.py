@@ -188,15 +188,28 @@ def read_recording(
     wrench_frame: str = "sensor",
     specification: Sequence[str | os.PathLike[str]] = (),
 ) -> DiagnosticRecording:
-    """Read a recording's directory; raises GalenError.
+    """Read a recording's directory.
 
     The arm is that of `arm.urdf` in it, or of `robot_description` in its bags, else the Galen.
-    tool: the tool's file, where it isn't the directory's own tool.json. inertial_forces: the
-    nominal model has those of tool and adapter, with the file's masses. wrench_frame: "sensor", or
-    "base" where wrenches are written in the base's axes. specification: files and presets, where it
-    isn't the directory's own specification.json; else the Galen is a carefully calibrated arm, and
-    any other a usual one. Missing bags are named in `missing`; without any there is nothing to
-    diagnose.
+    Missing bags are named in `missing`; without any there is nothing to diagnose.
+
+    Args:
+        path: The directory.
+        tool: The tool's file; None for the directory's own tool.json.
+        inertial_forces: Whether the nominal model has those of tool and adapter, with the file's
+            masses.
+        wrench_frame: "sensor", or "base" where wrenches are written in the base's axes.
+        specification: Files and presets, the first before the others; empty for the directory's own
+            specification.json. Without one the Galen is a carefully calibrated arm, and any other a
+            usual one.
+
+    Returns:
+        The recording.
+
+    Raises:
+        GalenError: A file is missing or malformed, frames don't fit, stamps jump back, or too
+            little of a bag is usable.
+
     """
     path = Path(path)
     if not any((path / name).exists() for name in BAGS):
@@ -249,10 +262,18 @@ def _specification(path: Path, given: Sequence[str | os.PathLike[str]], arm: Arm
 
 
 def require_sound_setup(recording: DiagnosticRecording) -> None:
-    """Raise SetupError where a wrong set-up explains the still poses of the sweep.
+    """Reject a recording whose still poses of the sweep a wrong set-up explains.
 
     It is looked for in the readings alone, without the calibration file: the effects of a healthy
-    set-up are far smaller.
+    set-up are far smaller. One without a sweep, or with a mounting in its tool's file, isn't looked
+    at.
+
+    Args:
+        recording: What was read.
+
+    Raises:
+        SetupError: A gross mistake explains the readings.
+
     """
     bag, arm = recording.bags.get("sweep"), recording.arm
     if bag is None or recording.tool.mounting is not None:

@@ -55,7 +55,7 @@ class ResidualRows:
     since the bag's and the recording's first stamp, s. pose: index of the still pose of the sweep,
     or of the arm's position among the pushes; -1 in motion. block: rows of one block are held out
     together, and are what is drawn in a bootstrap; numbered over the whole recording. fold (0 ...
-    FOLDS - 1): of the block. joints (N, 5): reported, m and rad. rate (N, 5): their rates. samples:
+    FOLDS - 1): of the block. joints (N, n): reported, m and rad. rate (N, n): their rates. samples:
     how many a row averages. scale: what one unit is in N, N.m, m or rad.
     """
 
@@ -104,14 +104,33 @@ class Groups:
 
 
 def group_of(channel: str) -> str:
-    """Return which of GROUPS a channel belongs to."""
+    """Return which of GROUPS a channel belongs to.
+
+    Args:
+        channel: One of CHANNELS.
+
+    Returns:
+        Name of the group.
+
+    """
     return next(name for name, channels in GROUPS.items() if channel in channels)
 
 
 def stretches(
     at_s: Array, residual: Array, stretch: np.ndarray, use: np.ndarray
 ) -> list[tuple[Array, Array]]:
-    """Return runs of usable samples within one stretch."""
+    """Return runs of usable samples within one stretch.
+
+    Args:
+        at_s: Times, (n,), s.
+        residual: Residuals, (n, k); samples with a NaN aren't usable.
+        stretch: Number of each sample's stretch, (n,).
+        use: Which samples may be used, (n,) bool.
+
+    Returns:
+        Times and residuals of each run.
+
+    """
     key = np.where(use & np.isfinite(residual).all(axis=1), stretch, -1)
     cuts = np.flatnonzero(np.diff(key) != 0) + 1
     runs = np.split(np.arange(len(at_s)), cuts)
@@ -119,7 +138,18 @@ def stretches(
 
 
 def groups_of(at_s: Array, stretch: np.ndarray, length_s: Array, order: int) -> Groups:
-    """Group samples of each stretch by about its length_s (n,), but for its first `order`."""
+    """Group samples of each stretch, but for its first ones.
+
+    Args:
+        at_s: Times, (n,), s.
+        stretch: Number of each sample's stretch, (n,).
+        length_s: About how long a group is, (n,); each stretch takes that of its first sample.
+        order: How many samples at the start of a stretch are in no group, which whitening takes.
+
+    Returns:
+        m groups, numbered in time.
+
+    """
     step = max(float(np.median(np.diff(at_s))), 1e-6)
     which = np.full(len(at_s), -1)
     number = 0
@@ -134,7 +164,16 @@ def groups_of(at_s: Array, stretch: np.ndarray, length_s: Array, order: int) -> 
 
 
 def group_mean(groups: Groups, values: Array) -> Array:
-    """Mean (m, ...) of values (n, ...) over each group."""
+    """Return means over each group.
+
+    Args:
+        groups: Groups of n samples.
+        values: Values of the samples, (n, ...).
+
+    Returns:
+        Means, (m, ...).
+
+    """
     inside = groups.which >= 0
     flat = values[inside].reshape(int(inside.sum()), -1)
     sums = np.stack(
@@ -144,7 +183,15 @@ def group_mean(groups: Groups, values: Array) -> Array:
 
 
 def middle(groups: Groups) -> np.ndarray:
-    """Return the sample in the middle of each group."""
+    """Return the sample in the middle of each group.
+
+    Args:
+        groups: Groups of n samples.
+
+    Returns:
+        Indices of samples, (m,).
+
+    """
     inside = np.flatnonzero(groups.which >= 0)
     first = np.searchsorted(groups.which[inside], np.arange(len(groups.count)))
     return inside[first + groups.count // 2]
@@ -153,7 +200,19 @@ def middle(groups: Groups) -> np.ndarray:
 def whitened(
     residual: Array, noise: list[ChannelNoise], stretch: np.ndarray, groups: Groups
 ) -> tuple[Array, Array]:
-    """Whitened rows (m, k) of samples (n, k), and what a constant 1 becomes in them (m, k)."""
+    """Whiten samples and average them over groups.
+
+    Args:
+        residual: Samples, (n, k), in the channels' units.
+        noise: Noise of each of k channels.
+        stretch: Number of each sample's stretch, (n,).
+        groups: m groups, none with the first samples of a stretch.
+
+    Returns:
+        Rows of unit variance, (m, k), and what a constant 1 becomes in them, (m, k), in one over
+        the channels' units.
+
+    """
     white = np.empty_like(residual)
     runs = np.split(np.arange(len(residual)), np.flatnonzero(np.diff(stretch) != 0) + 1)
     for column, one in enumerate(noise):
@@ -185,7 +244,7 @@ STILL, PLUS, MINUS, ACCELERATING, REST, LOADING, HELD, UNLOADING = range(len(REG
 class Phases(NamedTuple):
     """Of n instants: stretch (n,) number of the still or moving stretch without a gap, still (n,).
 
-    pose (n,): number of the still stretch, -1 in motion. rate, acceleration (n, 5) of the joints.
+    pose (n,): number of the still stretch, -1 in motion. rate, acceleration (n, k) of the joints.
     """
 
     stretch: np.ndarray
@@ -196,7 +255,18 @@ class Phases(NamedTuple):
 
 
 def phases(arm: Arm, at_s: Array, joint_s: Array, joints: Array) -> Phases:
-    """Return phases at times at_s (n,), by the reported joints (nj, ...) at joint_s (nj,)."""
+    """Return phases at times, by the reported joints.
+
+    Args:
+        arm: Which joints turn and which slide.
+        at_s: Times, (n,), s, in increasing order.
+        joint_s: Times of the joints, (nj,), s.
+        joints: Reported joints, (nj, k), m and rad.
+
+    Returns:
+        Phases of n instants.
+
+    """
     velocity, acceleration = (_at(at_s, joint_s, part) for part in rates(joint_s, joints))
     still = np.asarray(np.all(np.abs(velocity) < arm.by_unit(*_STILL), axis=1))
     cuts = (np.diff(at_s) > _GAP_S) | (np.diff(still.astype(np.int8)) != 0)
@@ -217,7 +287,16 @@ def phases(arm: Arm, at_s: Array, joint_s: Array, joints: Array) -> Phases:
 
 
 def moving_regime(arm: Arm, of: Phases) -> np.ndarray:
-    """Return the regime (n,) where the tool isn't touched."""
+    """Return the regime where the tool isn't touched.
+
+    Args:
+        arm: Which joints turn and which slide.
+        of: Phases of n instants.
+
+    Returns:
+        STILL, ACCELERATING, or PLUS and MINUS by the sign of the fastest angle's rate, (n,).
+
+    """
     fast = (np.abs(of.acceleration) > arm.by_unit(*_FAST)).any(axis=1)
     turning = arm.angles(of.rate)
     leading = np.argmax(np.abs(turning), axis=1)
@@ -229,11 +308,20 @@ def moving_regime(arm: Arm, of: Phases) -> np.ndarray:
 
 
 def touched(at_s: Array, of: Phases, residual: Array, noise: Array) -> np.ndarray:
-    """Return where the tool may be touched, (n,) bool, of a bag with pushes.
+    """Return where the tool may be touched, of a bag with pushes.
 
-    residual (n, 6): reading less nominal; noise (6,) of a sample. In each still stretch the push
-    comes when the residual, averaged over 0.1 s, leaves what it was at the stretch's start; from
-    then on to the stretch's end the tool counts as touched.
+    In each still stretch the push comes when the residual, averaged over 0.1 s, leaves what it was
+    at the stretch's start; from then on to the stretch's end the tool counts as touched.
+
+    Args:
+        at_s: Times, (n,), s.
+        of: Phases at these times.
+        residual: Reading less nominal, (n, 6), N and N.m.
+        noise: Standard deviations of a sample, (6,), N and N.m.
+
+    Returns:
+        (n,) bool.
+
     """
     out = np.zeros(len(at_s), dtype=bool)
     for number in range(of.pose.max() + 1):
@@ -259,7 +347,17 @@ def touched(at_s: Array, of: Phases, residual: Array, noise: Array) -> np.ndarra
 
 
 def push_regime(at_s: Array, force_n: Array, is_touched: np.ndarray) -> np.ndarray:
-    """Regime (n,) of pushes: rest, loading, held, unloading by the applied force's size (n,)."""
+    """Return the regime of pushes, by the applied force's size and its rate.
+
+    Args:
+        at_s: Times, (n,), s.
+        force_n: Size of the applied force, (n,), N.
+        is_touched: Where the tool may be touched, (n,) bool.
+
+    Returns:
+        REST, LOADING, HELD or UNLOADING, (n,).
+
+    """
     regime = np.full(len(at_s), REST)
     if len(at_s) < 3:
         return regime
@@ -272,7 +370,17 @@ def push_regime(at_s: Array, force_n: Array, is_touched: np.ndarray) -> np.ndarr
 
 
 def blocks(bag: str, at_s: Array, pose: np.ndarray) -> np.ndarray:
-    """Block (n,) within the bag: a pose with the move after it, 3 s of motion, 3 s of pushes."""
+    """Return the block of samples: a pose with the move after it, 3 s of motion, 3 s of pushes.
+
+    Args:
+        bag: Name of the bag.
+        at_s: Times since the bag's first stamp, (n,), s.
+        pose: Number of the still stretch, -1 in motion, (n,).
+
+    Returns:
+        Numbers within the bag, (n,), from 0 on; some may be unused.
+
+    """
     if bag == "sweep":
         # Rows of a move belong to the pose before it.
         return np.maximum(np.maximum.accumulate(pose), 0)
@@ -282,7 +390,16 @@ def blocks(bag: str, at_s: Array, pose: np.ndarray) -> np.ndarray:
 
 
 def deal(count: int, seed: int) -> np.ndarray:
-    """Fold (count,) of each block: neighbours in time in different ones, in a shuffled order."""
+    """Deal blocks to folds: neighbours in time to different ones, in a shuffled order.
+
+    Args:
+        count: Number of blocks.
+        seed: Of the order.
+
+    Returns:
+        Fold of each block, (count,), 0 ... FOLDS - 1.
+
+    """
     generator = np.random.default_rng(seed)
     turns = [generator.permutation(FOLDS) for _ in range(-(-count // FOLDS))]
     return np.concatenate(turns)[:count] if turns else np.zeros(0, dtype=int)

@@ -56,21 +56,46 @@ class Specification:
     sources: Mapping[str, str] = field(default_factory=dict)
 
     def limit(self, effect: str, part: str = DEFAULT) -> float | None:
-        """Return an effect's limit at a joint or an axis; None where it has none."""
+        """Return an effect's limit at a joint or an axis.
+
+        Args:
+            effect: Its name.
+            part: Joint or axis; of one that isn't named, that of all.
+
+        Returns:
+            The largest magnitude within specification, in the effect's unit; None where it has
+            none.
+
+        """
         by_part = self.limits.get(effect, {})
         return by_part.get(part, by_part.get(DEFAULT))
 
     def std(self, effect: str, parts: tuple[str, ...]) -> tuple[float, ...] | None:
-        """Return a healthy arm's standard deviations of an effect's numbers, of `parts` each.
+        """Return a healthy arm's standard deviations of an effect's numbers, half of their limits.
 
-        None where one of them has no limit.
+        Args:
+            effect: Its name.
+            parts: Joint or axis of each number.
+
+        Returns:
+            One for each part, in the effect's unit; None where one of them has no limit.
+
         """
         limits = [self.limit(effect, part) for part in parts]
         known = [limit for limit in limits if limit is not None]
         return tuple(limit / 2.0 for limit in known) if len(known) == len(limits) else None
 
     def scaled(self, factor: float, words: str) -> Specification:
-        """Return the same limits times a factor; words: before the name."""
+        """Return the same limits times a factor.
+
+        Args:
+            factor: On every limit.
+            words: What comes before the name.
+
+        Returns:
+            A copy, sources as they are.
+
+        """
         limits = {
             effect: {part: factor * limit for part, limit in by_part.items()}
             for effect, by_part in self.limits.items()
@@ -78,7 +103,15 @@ class Specification:
         return replace(self, name=words + self.name, limits=limits)
 
     def over(self, other: Specification) -> Specification:
-        """Return these limits and, of effects and parts without one, another's."""
+        """Return these limits and, of effects and parts without one, another's.
+
+        Args:
+            other: Limits that count where these have none.
+
+        Returns:
+            Both, under this name and source.
+
+        """
         both: dict[str, Mapping[str, float]] = {
             effect: {**other.limits.get(effect, {}), **self.limits.get(effect, {})}
             for effect in {**other.limits, **self.limits}
@@ -94,7 +127,15 @@ def presets() -> tuple[str, ...]:
 
 
 def path_of(given: str | os.PathLike[str]) -> Path:
-    """Return the file of a preset, by its name, or of a path."""
+    """Return the file of a preset or of a path.
+
+    Args:
+        given: Name of a preset, which comes first, or path of a file.
+
+    Returns:
+        The path, existing or not.
+
+    """
     return _PRESETS / f"{given}.json" if str(given) in presets() else Path(given)
 
 
@@ -104,11 +145,14 @@ def specification_of(
     """Return what files and presets say together, the first before the others.
 
     Args:
-        given: files, and names of presets.
-        known: by effect that has a limit, the names that a map of it may have; None for any.
+        given: Files, and names of presets.
+        known: By effect that has a limit, the names that a map of it may have; None for any.
+
+    Returns:
+        The limits of all, over those of the preset `default` unless that or `galen` is among them.
 
     Raises:
-        GalenError: naming the file and the key.
+        GalenError: Naming the file and the key.
 
     """
     found = [_read(one, known) for one in given]

@@ -52,7 +52,16 @@ class Corrections(NamedTuple):
 
 
 def corrections(recording: DiagnosticRecording, diagnosis: Diagnosis) -> Corrections:
-    """Return what corrects the causes of a diagnosis that identified them; else nothing."""
+    """Return what corrects the causes of a diagnosis that identified them; else nothing.
+
+    Args:
+        recording: What was diagnosed.
+        diagnosis: The answer and the fitted effects.
+
+    Returns:
+        Files and sentences; a sentence alone where the corrected files would be invalid.
+
+    """
     if diagnosis.answer.verdict != "identified":
         return Corrections({}, ())
     effects = diagnosis.effects
@@ -105,7 +114,14 @@ def _provenance(source: str, effects: Sequence[Effect]) -> str:
 def corrected_description(arm: Arm, effects: Sequence[Effect], source: str) -> str:
     """Return the arm's robot description with effects in it, of those that it can hold.
 
-    source: what found them, for a comment.
+    Args:
+        arm: Whose description it is.
+        effects: What was found.
+        source: What found them, for a comment.
+
+    Returns:
+        The URDF.
+
     """
     parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
     robot = ElementTree.fromstring(arm.urdf, parser)
@@ -132,7 +148,15 @@ def corrected_tool(
 ) -> CalibrationFile:
     """Return the recording's calibration file with the effects of sensor and tool in it.
 
-    For `arm`, by whose description gravity at the zeroing is.
+    Args:
+        recording: Its tool's file is corrected.
+        arm: By whose description gravity at the zeroing is: the recording's, or as corrected.
+        causes: Their intervals give the variances that are added.
+        effects: What was found; each that a file can hold is among the causes.
+
+    Returns:
+        The file's content.
+
     """
     file = recording.tool
     variances = {cause.effect: _variances(cause) for cause in causes}

@@ -57,6 +57,14 @@ def mujoco_model(recording: DiagnosticRecording, effects: Sequence[Effect]) -> s
     """Return a recording's arm and load with effects in them as MJCF.
 
     What MuJoCo has no such thing for is a comment, with its numbers.
+
+    Args:
+        recording: Its arm, tool's file and name.
+        effects: Those of the driver; each has a record.
+
+    Returns:
+        The model's XML.
+
     """
     tool = recording.tool
     parts = MujocoParts(

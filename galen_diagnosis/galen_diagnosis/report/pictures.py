@@ -47,7 +47,16 @@ _DARK = 0.55
 
 
 def write_pictures(diagnosis: Diagnosis, folder: Path) -> dict[str, Path]:
-    """Write all pictures that the recording has data for; their names to their files."""
+    """Write all pictures that the recording has data for.
+
+    Args:
+        diagnosis: The answer and the residuals behind it.
+        folder: Where the PNG files go.
+
+    Returns:
+        Files by name: `budget`, `answer`, `gap`.
+
+    """
     written = {}
     if diagnosis.answer.budget:
         written["budget"] = save_figure(budget_figure(diagnosis.answer), folder / "budget.png")
@@ -61,7 +70,15 @@ def write_pictures(diagnosis: Diagnosis, folder: Path) -> dict[str, Path]:
 
 
 def budget_figure(answer: Answer) -> plt.Figure:
-    """Draw the gap from the whole down to the noise, a bar an effect, and numbers over limits."""
+    """Draw the gap from the whole down to the noise, a bar an effect, and numbers over limits.
+
+    Args:
+        answer: One with a budget.
+
+    Returns:
+        The figure.
+
+    """
     items = sorted(answer.budget, key=lambda one: (one.label == RESIDUAL, -one.share.value))
     figure, (bars, sizes) = plt.subplots(
         1, 2, figsize=(11, 1.5 + 0.42 * len(items)), sharey=True, width_ratios=(3, 2)
@@ -123,6 +140,13 @@ def gap_figure(diagnosis: Diagnosis) -> plt.Figure:
 
     A black frame marks a cell beyond noise and a healthy arm's tolerances (p < 0.05, corrected for
     all cells of the map).
+
+    Args:
+        diagnosis: Its held-out residuals are drawn.
+
+    Returns:
+        The figure.
+
     """
     view = by_regime_of_bag(diagnosis.rows)
     residuals = (diagnosis.held_out_before, diagnosis.held_out_after)
@@ -180,6 +204,13 @@ def answer_figure(diagnosis: Diagnosis) -> plt.Figure:
     """Draw the channels in which what was found is clearest, else those that are furthest off.
 
     Measured less nominal, what was found adds to nominal, and what it leaves, in time.
+
+    Args:
+        diagnosis: One with streams.
+
+    Returns:
+        The figure.
+
     """
     panels = _clearest(diagnosis)
     figure, axes = plt.subplots(

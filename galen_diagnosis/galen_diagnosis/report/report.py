@@ -63,7 +63,16 @@ _CAPTIONS = {
 
 
 def report(answer: Answer, pictures: Mapping[str, Path]) -> str:
-    """Return the page; pictures: PNG files by name, as `write_pictures` gives them."""
+    """Return the page.
+
+    Args:
+        answer: What it shows.
+        pictures: PNG files by name, as `write_pictures` gives them.
+
+    Returns:
+        HTML in one file.
+
+    """
     return render_page(
         Path(__file__).parent / "template.html",
         {name: file.read_bytes() for name, file in pictures.items()},
@@ -167,7 +176,13 @@ def _pose_words(pose: Mapping[str, Any]) -> str:
 
 
 def print_answer(answer: Answer, console: Console) -> None:
-    """Print one diagnosis."""
+    """Print one diagnosis.
+
+    Args:
+        answer: What is printed, without the poses of a recording.
+        console: Where.
+
+    """
     verdict = f"{answer.verdict} ({VERDICTS[answer.verdict].lower()})"
     console.print(f"[bold]{escape(answer.recording)}: {verdict}[/bold]")
     console.print(escape(answer.sentence))
@@ -204,7 +219,13 @@ def print_answer(answer: Answer, console: Console) -> None:
 
 
 def print_specification(given: Specification, console: Console) -> None:
-    """Print limits, each with its source."""
+    """Print limits, each with its source.
+
+    Args:
+        given: The limits.
+        console: Where.
+
+    """
     console.print(f"[bold]{escape(given.name)}[/bold]  {escape(given.source)}")
     rows = [
         (effect, limit_words(effect, by_part), given.sources.get(effect, "-"))
@@ -245,7 +266,15 @@ residual over the noise's. problems: how many.
 
 
 def to_row(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a row of `COLUMNS` from diagnosis.json's content."""
+    """Return a row of `COLUMNS`.
+
+    Args:
+        content: What diagnosis.json holds.
+
+    Returns:
+        Values by column; None where unknown.
+
+    """
     causes, gap = content["causes"], content["gap"]
     closed = gap.get("closed_fraction") or {}
     low, high = closed.get("ci95") or (None, None)
@@ -266,7 +295,13 @@ def to_row(content: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def print_overview(rows: Sequence[dict[str, Any]], console: Console) -> None:
-    """Print a line for each of many recordings: diagnosis.json's content, or its error."""
+    """Print a line for each of many recordings.
+
+    Args:
+        rows: What diagnosis.json holds or, with the key `error`, why there is none.
+        console: Where.
+
+    """
     good = [
         (
             row["recording"],
@@ -289,7 +324,17 @@ def print_overview(rows: Sequence[dict[str, Any]], console: Console) -> None:
 
 
 def check_output(folder: Path, *, overwrite: bool) -> None:
-    """Raise GalenError where `write_output` would reject the folder, or can't write it."""
+    """Check that `write_output` can write a folder.
+
+    Args:
+        folder: The diagnosis' directory.
+        overwrite: Whether an old diagnosis may be replaced.
+
+    Raises:
+        GalenError: The folder is there and may not be replaced, holds no diagnosis, or can't be
+            written.
+
+    """
     check_parent(folder)
     if not os.path.lexists(folder):
         return
@@ -309,9 +354,18 @@ def write_output(
 ) -> None:
     """Write diagnosis.json and, where given, report.html with its pictures.
 
-    They are made in a directory beside, which is renamed once all are there. files: texts of
-    others by name. draw: writes the pictures into a directory, by name; None for no report.
-    overwrite: an old diagnosis is replaced. Raises GalenError; an old directory is then untouched.
+    They are made in a directory beside, which is renamed once all are there.
+
+    Args:
+        answer: What is written.
+        folder: The directory to make.
+        files: Texts of other files by name.
+        draw: Writes the pictures into a directory, and returns them by name; None for no report.
+        overwrite: Whether an old diagnosis is replaced.
+
+    Raises:
+        GalenError: The folder can't be written or replaced; an old directory is then untouched.
+
     """
     check_output(folder, overwrite=overwrite)
     with writing(folder):
@@ -356,10 +410,20 @@ _HEAD = """\
 
 
 def effect_file(recording: str, effects: Sequence[Effect], arm: Arm) -> str | None:
-    """Return an arm's found effects as the driver's parameters, YAML; None where there are none.
+    """Return an arm's found effects as the driver's parameters.
 
-    Raises ConfigError: the driver has one of each effect, so that two of a kind are rejected, and
-    none of those in `effects/general_shapes.py`.
+    Args:
+        recording: Name of the recording, for a comment.
+        effects: As `in_driver` returns them.
+        arm: The Galen needs no description, of another arm the comment names one.
+
+    Returns:
+        YAML; None where there are no effects.
+
+    Raises:
+        ConfigError: Two effects of a kind, of which the driver has one each, or one of
+            `effects/general_shapes.py`, of which it has none.
+
     """
     if not effects:
         return None

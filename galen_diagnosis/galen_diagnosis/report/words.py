@@ -69,7 +69,16 @@ _ENDINGS: dict[str, _Unit] = {
 
 
 def unit_of(name: str, axis: str | None = None) -> _Unit:
-    """Return the unit that people read a parameter in; axis: of the wrench, where it has one."""
+    """Return the unit that people read a parameter in.
+
+    Args:
+        name: The parameter's name in the contract; its ending is an SI unit where it has one.
+        axis: Of the wrench, where it has one.
+
+    Returns:
+        Factor on the SI number, and the unit with its space; 1 and nothing where none is known.
+
+    """
     if name in _FORCES:
         return _FORCES[name][axis is not None and axis.startswith("t")]
     if name in _UNITS:
@@ -85,7 +94,16 @@ def _coefficient_unit(source: str, target: str) -> _Unit:
 
 
 def with_interval(value: Interval, unit: _Unit) -> str:
-    """Write `0.584° (0.571 to 0.597)`, with as many digits as the interval is worth."""
+    """Write `0.584° (0.571 to 0.597)`, with as many digits as the interval is worth.
+
+    Args:
+        value: In SI.
+        unit: Factor on the SI number, and the unit with its space.
+
+    Returns:
+        The text; of an angle without an interval also in mrad.
+
+    """
     factor, name = unit
     number = value.value * factor
     if value.low is None or value.high is None:
@@ -97,7 +115,16 @@ def with_interval(value: Interval, unit: _Unit) -> str:
 
 
 def plain(number: float, uncertainty: float) -> str:
-    """Write a number to two digits of its uncertainty from 1 to 2, else to one."""
+    """Write a number to two digits of its uncertainty from 1 to 3, else to one.
+
+    Args:
+        number: In the unit that is written.
+        uncertainty: In the same unit; where it isn't above 0 and finite, three digits are written.
+
+    Returns:
+        The text, never of a negative zero; `?` of what isn't finite.
+
+    """
     if not math.isfinite(number):
         return "?"
     if not (uncertainty > 0.0 and math.isfinite(uncertainty)):
@@ -108,7 +135,17 @@ def plain(number: float, uncertainty: float) -> str:
 
 
 def parameter_words(effect: str, name: str, parameters: dict[str, Any]) -> str:
-    """Write a parameter with interval and unit; of a vector those parts that aren't 0."""
+    """Write a parameter with interval and unit; of a vector those parts that aren't 0.
+
+    Args:
+        effect: Whose parameter it is; it doesn't change the words.
+        name: The parameter's name in the contract.
+        parameters: All of the effect's: the axes among them decide units.
+
+    Returns:
+        The text.
+
+    """
     value = parameters[name]
     if isinstance(value, dict):
         return ", ".join(f"{part} {_stiffness_words(part, value[part])}" for part in value)
@@ -152,7 +189,15 @@ def _not_zero(part: Interval) -> bool:
 
 
 def cause_words(cause: FoundCause) -> str:
-    """Write what an effect does, as a part of a sentence with its numbers."""
+    """Write what an effect does, as a part of a sentence with its numbers.
+
+    Args:
+        cause: One that was found.
+
+    Returns:
+        The record's sentence, filled in; the title with all parameters where that can't be.
+
+    """
     parameters = cause.parameters
     words = {name: parameter_words(cause.effect, name, parameters) for name in parameters}
     angles = [f"{words[name]} about {name[6]}" for name in words if name.startswith("about_")]
@@ -166,7 +211,15 @@ def cause_words(cause: FoundCause) -> str:
 
 
 def title(identity: str) -> str:
-    """Name an effect for people; identity: with its joint, `effect:joint`, where it has one."""
+    """Name an effect for people.
+
+    Args:
+        identity: With its joint, `effect:joint`, where it has one; or `none`, `unknown`.
+
+    Returns:
+        The name.
+
+    """
     effect, _, joint = identity.partition(":")
     record = RECORDS.get(effect)
     words = record.title if record else _NO_EFFECT.get(effect, effect.replace("_", " "))
@@ -176,14 +229,30 @@ def title(identity: str) -> str:
 
 
 def p_words(p: float | None) -> str:
-    """Write a p-value; below 0.001 the null wasn't drawn often enough for more digits."""
+    """Write a p-value; below 0.001 the null wasn't drawn often enough for more digits.
+
+    Args:
+        p: Corrected for all cells of a view; None where it isn't known.
+
+    Returns:
+        The text.
+
+    """
     if p is None:
         return "-"
     return "≤ 0.001" if p <= 0.001 else f"{p:.3f}"
 
 
 def share_words(share: dict[str, Any] | Interval | None) -> str:
-    """Write a closed fraction with its interval, as in diagnosis.json or before."""
+    """Write a closed fraction with its interval.
+
+    Args:
+        share: As in diagnosis.json or before; None where it isn't known.
+
+    Returns:
+        Percent; `-` where it isn't known.
+
+    """
     known = share.to_json() if isinstance(share, Interval) else share
     if not known or known.get("value") is None:
         return "-"
@@ -192,7 +261,15 @@ def share_words(share: dict[str, Any] | Interval | None) -> str:
 
 
 def probability_words(probability: float) -> str:
-    """Write a probability without pretending to certainty."""
+    """Write a probability without pretending to certainty.
+
+    Args:
+        probability: 0 ... 1.
+
+    Returns:
+        Percent.
+
+    """
     if not 0.001 <= probability <= 0.999:
         return "more than 99.9 %" if probability > 0.5 else "less than 0.1 %"
     return f"{100.0 * probability:.{0 if 0.01 <= probability <= 0.99 else 1}f} %"
@@ -202,7 +279,15 @@ _WORDS = {"about": "about", "from": "of", "to": "in", "bag": "in the middle of",
 
 
 def missed_words(one: Excluded) -> str:
-    """Write the largest size of an effect that would have been missed, or why it isn't known."""
+    """Write the largest size of an effect that would have been missed, or why it isn't known.
+
+    Args:
+        one: An effect that was sought and not found.
+
+    Returns:
+        The text.
+
+    """
     limits = one.missed_below or one.missed_above
     if limits is None:
         return one.because
@@ -242,7 +327,16 @@ _LIMIT_PARTS = {"force_N_per_hour": (1.0, " N/h"), "torque_Nm_per_hour": (1e3, "
 
 
 def limit_words(effect: str, by_part: Mapping[str, float]) -> str:
-    """Write a specification's limits of an effect, of its parts where they differ."""
+    """Write a specification's limits of an effect, of its parts where they differ.
+
+    Args:
+        effect: Its name.
+        by_part: Limits by joint, axis or `default`, in the effect's unit.
+
+    Returns:
+        The text.
+
+    """
     unit = EFFECTS[effect].fitted[0].unit
     words = {}
     for part, limit in by_part.items():
@@ -258,7 +352,17 @@ def limit_words(effect: str, by_part: Mapping[str, float]) -> str:
 
 
 def limit_of_parameter(effect: str, name: str, of: BudgetItem) -> str:
-    """Write a budget's limits of a parameter in the parameter's unit, one where all are alike."""
+    """Write a budget's limits of a parameter in the parameter's unit, one where all are alike.
+
+    Args:
+        effect: Its name.
+        name: A parameter that has a limit.
+        of: The budget's entry of the effect.
+
+    Returns:
+        The text.
+
+    """
     limit = of.limits[name]
     each = limit if isinstance(limit, list) else [limit]
     axes = _AXES[len(each)] if len(each) in _AXES else ("",) * len(each)
@@ -285,7 +389,15 @@ _MOST_TWINS = 6
 
 
 def sentence(answer: Answer) -> str:
-    """Write the verdict: causes with their numbers and probability, how much of the gap closes."""
+    """Write the verdict: causes with their numbers and probability, how much of the gap closes.
+
+    Args:
+        answer: All but its sentence.
+
+    Returns:
+        One sentence or several.
+
+    """
     chances = dict(answer.ranking)
     if answer.verdict == NONE:
         chance = probability_words(chances.get(NONE, 0.0))
@@ -372,7 +484,15 @@ def _closed(gap: dict[str, Any]) -> str:
 
 
 def next_steps(answer: Answer) -> list[str]:
-    """Return what to do: corrections, the next experiment, or nothing."""
+    """Return what to do: corrections, the next experiment, or nothing.
+
+    Args:
+        answer: What was found.
+
+    Returns:
+        Sentences in the order in which to do them, one at least.
+
+    """
     if answer.verdict == NONE:
         return ["Nothing. What was tested and excluded, and from which size on, is below."]
     steps = []
@@ -399,7 +519,15 @@ def next_steps(answer: Answer) -> list[str]:
 
 
 def data_words(recording: DiagnosticRecording) -> tuple[tuple[str, str], ...]:
-    """Return what was diagnosed, against what and by which program."""
+    """Return what was diagnosed, against what and by which program.
+
+    Args:
+        recording: What was diagnosed.
+
+    Returns:
+        Pairs of a word and what it was.
+
+    """
     bags = (
         f"{name} ({bag.wrench_s[-1]:.0f} s{', tracker' if bag.tool_marker else ''})"
         for name, bag in recording.bags.items()

@@ -35,7 +35,18 @@ def diagnose_blocks(
     """Search, and return verdict, causes with intervals, gap before and after, where it lies.
 
     Whole blocks are held out; with an effect of time among those found, thirds of blocks, and what
-    is closed of whole blocks is beside it in the answer. progress: told each hypothesis.
+    is closed of whole blocks is beside it in the answer.
+
+    Args:
+        name: Name of what is diagnosed.
+        rows: n readings of C channels.
+        effects: Nominal columns, and the ways in which effects show.
+        notes: How rows were made.
+        progress: Called with each hypothesis.
+
+    Returns:
+        The answer.
+
     """
     evidence = BlockEvidence(rows, effects.nominal)
     found = search(evidence, effects, progress=progress)
@@ -100,6 +111,16 @@ def closed_fraction(rows: BlockRows, before: Array, after: Array, floor: float) 
 
     Channels count alike in units of the floor; where none is known, in units of what channels of
     the same unit had before.
+
+    Args:
+        rows: n readings of C channels.
+        before: Held-out residuals without effects over the rows' floor, (n, C).
+        after: The same with them, (n, C).
+        floor: Mean square that noise alone gives a row; 0 where that isn't known.
+
+    Returns:
+        1 for all of the gap.
+
     """
     if not rows.floor_known:
         square = np.mean((before * rows.floor) ** 2, axis=0)

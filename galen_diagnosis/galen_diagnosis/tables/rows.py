@@ -68,7 +68,15 @@ class Floor:
     source: str
 
     def alone(self, step_s: float) -> float:
-        """Return which part of readings, step_s apart, tells as much as independent ones would."""
+        """Return which part of readings is worth as much as independent ones.
+
+        Args:
+            step_s: Time between readings.
+
+        Returns:
+            A share, 0 ... 1.
+
+        """
         return 1.0 / (1.0 + 2.0 * self.alike / np.expm1(step_s / self.memory_s))
 
 
@@ -81,9 +89,22 @@ def prepare_table(
 ) -> tuple[BlockRows, Effects, tuple[str, ...]]:
     """Return rows and effects of a table, and notes on how they were made.
 
-    noise (n, 6): readings of the same sensor, still and untouched. references: earlier tables of
-    the same sensor and load: nominal is the load that fits them, the floor what it leaves of them.
-    Raises GalenError where the table can't be used.
+    Args:
+        table: n readings with orientations; one with time and without blocks is cut into its rest
+            segments.
+        noise: Readings of the same sensor, still and untouched, (m, 6), N and N.m, for the floor
+            of a table that isn't cut; None where there are none. Not used with references.
+        tool: File that has the load; None to fit it. Not used with references.
+        window_s: How long an average in a rest segment is.
+        references: Earlier tables of the same sensor and load: nominal is the load that fits them,
+            the floor what it leaves of them.
+
+    Returns:
+        Rows in the sensor's frame, six channels; the ways in which effects show; sentences.
+
+    Raises:
+        GalenError: The table or a reference can't be used.
+
     """
     run = _Stops.of(table, window_s)
     floor: Floor | None
@@ -411,7 +432,16 @@ _VELOCITY_WINDOW_S = 0.1
 def prepare_joint(
     runs: Sequence[JointRun], parts: Parts
 ) -> tuple[BlockRows, Effects, tuple[str, ...]]:
-    """Return rows and effects of a joint's runs, and notes; a part is a block."""
+    """Return rows and effects of a joint's runs, and notes on how they were made.
+
+    Args:
+        runs: Angles at both ends, rad, torque, N.m, and time, s.
+        parts: Parts of the runs; a part is a block.
+
+    Returns:
+        Rows of one channel, the lag, rad; the ways in which effects show; sentences.
+
+    """
     every = [np.ones(len(run), dtype=bool) for run in runs]
     scales = Scales.of(runs, every, _VELOCITY_WINDOW_S)
     gaps = scales.lag_half_range * _GAPS
