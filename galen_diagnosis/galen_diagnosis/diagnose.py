@@ -215,15 +215,15 @@ class Job:
 
 
 def in_driver(recording: DiagnosticRecording, effects: Sequence[Effect]) -> tuple[Effect, ...]:
-    """Return found effects for a driver, which itself has none that are nominal here.
+    """Return found effects for a driver, whose nominal model has no mounting and no motion.
 
     Args:
         recording: Its mounting and inertial forces are in the nominal model.
-        effects: Those that were found.
+        effects: Those that were found; since a reference, what has changed.
 
     Returns:
-        Found and nominal effects; inertial forces are those of the whole load. Nothing where
-        nothing was found.
+        Those and the mounting; inertial forces are those of the whole load. Nothing where nothing
+        was found.
 
     """
     inertia = recording.inertia_kg_m2
@@ -590,6 +590,12 @@ def _prepared(
         read_table(one, columns, arguments.wrench_frame, arm=arm)
         for one in (path, *arguments.reference)
     )
+    for option in ("noise", "tool"):
+        if references and getattr(arguments, option) is not None:
+            raise GalenError(
+                f"--{option} beside --reference: load and noise of a table are then the"
+                " reference's; leave out one of the two"
+            )
     found = check_setup(still_readings(table))
     if found is not None and found.gross and not arguments.no_setup_check:
         raise SetupError(f"{path}: {found.sentence}; --no-setup-check diagnoses it all the same")

@@ -227,7 +227,7 @@ def test_every_effect_has_a_sentence_with_all_its_numbers(name):
     text = cause_words(cause)
     assert not text.startswith(title(cause.label) + " (")  # its name if its words don't fit
     for parameter in parameters:
-        assert parameter_words(name, parameter, parameters) in text, parameter
+        assert parameter_words(parameter, parameters) in text, parameter
     assert cause_words(replace(cause, parameters={})).strip()  # an unknown number is no error
 
 

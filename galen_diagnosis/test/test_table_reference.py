@@ -139,3 +139,11 @@ def test_directions_in_a_plane_are_no_reference(tmp_path, capsys):
         tmp_path, capsys, table(tmp_path / "later.csv", 2), "--reference", str(flat)
     )
     assert code == 1 and "too few directions of gravity" in said
+
+
+@pytest.mark.parametrize("option", ["--noise", "--tool"])
+def test_what_a_reference_replaces_is_not_ignored(tmp_path, capsys, option):
+    earlier = table(tmp_path / "earlier.csv", 1)
+    later = table(tmp_path / "later.csv", 2)
+    said, code = answer(tmp_path, capsys, later, "--reference", earlier, option, earlier)
+    assert code == 1 and f"{option} beside --reference" in said

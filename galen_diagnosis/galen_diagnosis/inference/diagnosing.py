@@ -211,7 +211,10 @@ def diagnose_recording(
                 f" {', '.join(one.arm.joint_names)}, not {', '.join(recording.arm.joint_names)}"
             )
     for number, one in enumerate(references):
-        known = one if recording.earlier is None else replace(one, earlier=recording.earlier)
+        known = one
+        if recording.earlier is not None:
+            limits = recording.specification
+            known = replace(one, earlier=recording.earlier, specification=limits)
         explored = explore(known, _part(say, number, len(references) + 1, f"{one.name}: "))
         fit = fit_of_causes(explored, settings)
         found = explored.found

@@ -109,7 +109,7 @@ def excluded_effects(
     if chosen is not None:
         off = hstack(explored.discrepancies.of(chosen), format="csc")
         behind = behind.beside(chosen.columns).beside(off, 1.0)
-        fits = [one for one in explored.scored if one.names == chosen.names]
+        fits = [one for one in explored.scored if set(one.names) == set(chosen.names)]
         beside = min(fits, key=lambda one: one.energy)
     forms = _forms(explored, behind) if verdict != UNKNOWN else {}
     named = {cause.label for cause in causes if verdict != UNKNOWN}

@@ -110,7 +110,7 @@ def _causes(answer: Answer) -> Iterator[tuple[str, ...]]:
         first = (title(cause.label) + model, f"{cause.probability:.1%}")
         last = (share_words(cause.gap_closed), ", ".join(cause.equivalent) or "-")
         for number, name in enumerate(list(cause.parameters) or [""]):
-            words = parameter_words(cause.effect, name, cause.parameters) if name else "-"
+            words = parameter_words(name, cause.parameters) if name else "-"
             yield (*(first if not number else ("", "")), name, words,
                    *(last if not number else ("", "")))  # fmt: skip
 
@@ -123,10 +123,9 @@ def _budget(answer: Answer) -> Iterator[tuple[str, ...]]:
             standing += f", {one.probability_beyond:.0%} beyond"
         name = RESIDUAL if one.label == RESIDUAL else title(one.label)
         first, last = (name, share_words(one.share), standing), ", ".join(one.equivalent) or "-"
-        effect = one.label.partition(":")[0]
         for number, key in enumerate(list(one.parameters) or [""]):
-            words = parameter_words(effect, key, one.parameters) if key else "-"
-            limit = limit_of_parameter(effect, key, one) if key in one.limits else "-"
+            words = parameter_words(key, one.parameters) if key else "-"
+            limit = limit_of_parameter(key, one) if key in one.limits else "-"
             yield (*(first if not number else ("",) * 3), key or "-", words, limit,
                    last if not number else "")  # fmt: skip
 

@@ -134,11 +134,10 @@ def plain(number: float, uncertainty: float) -> str:
     return text.removeprefix("-") if float(text) == 0.0 else text
 
 
-def parameter_words(effect: str, name: str, parameters: dict[str, Any]) -> str:
+def parameter_words(name: str, parameters: dict[str, Any]) -> str:
     """Write a parameter with interval and unit; of a vector those parts that aren't 0.
 
     Args:
-        effect: Whose parameter it is; it doesn't change the words.
         name: The parameter's name in the contract.
         parameters: All of the effect's: the axes among them decide units.
 
@@ -199,7 +198,7 @@ def cause_words(cause: FoundCause) -> str:
 
     """
     parameters = cause.parameters
-    words = {name: parameter_words(cause.effect, name, parameters) for name in parameters}
+    words = {name: parameter_words(name, parameters) for name in parameters}
     angles = [f"{words[name]} about {name[6]}" for name in words if name.startswith("about_")]
     if angles:
         words["inclination"] = " and ".join(angles)
@@ -295,7 +294,7 @@ def missed_words(one: Excluded) -> str:
     words = [f" {_WORDS[name]} {value}" for name, value in values.items() if name in _WORDS]
     sizes = []
     for name in (name for name in values if name not in _WORDS):
-        text = parameter_words(one.label, name, values)
+        text = parameter_words(name, values)
         about = f" about {name[6]}" if name.startswith("about_") else ""
         sizes.append(f"down to {text}" if name == "stiffness" else text + about)
     start = "beyond the largest readings: " if one.missed_above else ""
@@ -351,11 +350,10 @@ def limit_words(effect: str, by_part: Mapping[str, float]) -> str:
     return ", ".join(([words[DEFAULT]] if DEFAULT in words else []) + others)
 
 
-def limit_of_parameter(effect: str, name: str, of: BudgetItem) -> str:
+def limit_of_parameter(name: str, of: BudgetItem) -> str:
     """Write a budget's limits of a parameter in the parameter's unit, one where all are alike.
 
     Args:
-        effect: Its name.
         name: A parameter that has a limit.
         of: The budget's entry of the effect.
 
@@ -371,7 +369,7 @@ def limit_of_parameter(effect: str, name: str, of: BudgetItem) -> str:
         exact = {**of.parameters, name: Interval(one, None, None)}
         if len(each) > 1:
             exact["axis"] = axis
-        words.append(parameter_words(effect, name, exact))
+        words.append(parameter_words(name, exact))
     return ", ".join(dict.fromkeys(words))
 
 

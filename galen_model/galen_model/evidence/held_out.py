@@ -163,7 +163,6 @@ def noise_forms(rows: BlockRows) -> tuple[NoiseForm, ...]:
 
 _NEGLIGIBLE_NATS = 15.0
 _SWEEPS = 2
-_NOISE_AS_IT_IS = 1  # of the levels of a known floor
 _MORE_THAN_NOISE_NATS = 4.0
 """What a channel's evidence must gain before it counts as more than noise."""
 
@@ -311,7 +310,8 @@ class BlockEvidence:
             Distance in sigma of the noise, along the direction that shows most.
 
         """
-        forms = np.full(len(self.rows.channels), _NOISE_AS_IT_IS)
+        as_it_is = int(np.argmin(np.abs(np.log(self.rows.levels))))
+        forms = np.full(len(self.rows.channels), as_it_is)
         information = self.information((way,)).chosen(forms).total().matrix
         size = self.nominal.size
         among = information[:size, :size] + np.eye(size)
