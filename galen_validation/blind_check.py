@@ -215,7 +215,7 @@ def _made(folder: Path, plan: dict[str, Any], recordings: int) -> str:
     for name in () if options else ("per_class", "healthy"):
         options += f" --{name.replace('_', '-')} {plan.get(name)}"
     return (
-        f"{recordings} recordings of `ros2 run galen_diagnosis blind_check make SET"
+        f"{recordings} recordings of `python -m galen_validation.blind_check make SET"
         f" --seed {plan.get('seed')} {options.strip()}`, labels' SHA-256"
         f" `{published_sha256(folder)}`, scored on {datetime.now(UTC):%Y-%m-%d}. Intervals are"
         " Wilson's, 95 %."
