@@ -234,3 +234,29 @@ def test_the_python_package_declares_what_it_imports():
     roots = {one.split(".")[0] for name in own for one in imported(name)[1]}
     others = roots - sys.stdlib_module_names - set(PACKAGES) - {"compression", "galen_msgs"}
     assert {of_pypi.get(one, one) for one in others} <= named
+
+
+def public_functions(node):
+    """Functions and methods without an underscore, outside of functions and private classes."""
+    for child in node.body:
+        if isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)):
+            if child.name.startswith("_"):
+                continue
+            if isinstance(child, ast.ClassDef):
+                yield from public_functions(child)
+            else:
+                yield child
+
+
+@pytest.mark.parametrize("package", [*PACKAGES, "galen_validation"])
+def test_public_functions_document_their_arguments(package):
+    lacking = []
+    for path in sorted((ROOT / package).rglob("*.py")):
+        if "test" in path.relative_to(ROOT).parts:
+            continue
+        for function in public_functions(ast.parse(path.read_text(encoding="utf-8"))):
+            known = function.args
+            names = [one.arg for one in (*known.posonlyargs, *known.args, *known.kwonlyargs)]
+            if {*names} - {"self", "cls"} and "Args:" not in (ast.get_docstring(function) or ""):
+                lacking.append(f"{path.relative_to(ROOT)}:{function.lineno} {function.name}")
+    assert lacking == []

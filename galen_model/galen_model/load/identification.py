@@ -272,25 +272,6 @@ def check_one_sweep(tool: StillPoses) -> LoadReadings:
     return readings
 
 
-def identify_one_load(tool: StillPoses) -> Identification:
-    """Identify tool and adapter as one load, with the sensor's own constant offset, from one sweep.
-
-    Args:
-        tool: the sweep.
-
-    Returns:
-        The load of both; the adapter is zero.
-
-    Raises:
-        NotExcitedError: naming what the poses don't identify.
-        IdentificationError: for a mass that is not positive, too few poses or too many that fit no
-            load.
-
-    """
-    fit, _ = fit_robust(check_one_sweep(tool), poses={"with the tool": tool})
-    return identification(fit, None, tool)
-
-
 def fit_robust(
     readings: LoadReadings,
     groups: Sequence[str] = (),
