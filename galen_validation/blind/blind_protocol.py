@@ -38,7 +38,7 @@ from galen_model.files.atomic_file import write_whole
 from galen_model.json_fields import FieldError, read_json
 from galen_sim_driver.effects.registry import contract_parameters, identities
 
-from galen_validation.blind.case import STRENGTHS, Case, Truth, generate
+from galen_validation.blind.case import SINCE, STRENGTHS, Case, Truth, generate
 from galen_validation.blind.causes import listed
 from galen_validation.blind.labels import (
     LABELS,
@@ -56,10 +56,10 @@ from galen_validation.blind.unlisted import NEED_SPRINGS, TEST_UNKNOWN
 
 _END_S = 20.0  # in which the diagnosing process ends by SIGINT
 DIAGNOSING = (sys.executable, "-m", "galen_validation.blind.diagnosing")
-_PAIRS_PER_CLASS, _SEVERAL_PER_CLASS = 10, 6
+_PAIRS_PER_CLASS, _SEVERAL_PER_CLASS, _CHANGED_PER_CLASS, _UNCHANGED_PER_CLASS = 10, 6, 10, 4
 _KINDS: dict[str, LabelKind] = {
     NONE: "none", "single": "single", "pair": "pair", "several": "several",
-    "ambiguous": "ambiguous",
+    "ambiguous": "ambiguous", "changed": "changed", "unchanged": "unchanged",
     "unknown_test": "unknown",
 }  # fmt: skip
 _SHORT = (
@@ -83,7 +83,8 @@ Each folder in `recordings/` holds the bags `sweep`, `motion` and `push` (MCAP; 
 of an arm with a force/torque sensor, `tool.json` (the tool as it was calibrated), `arm.urdf` and,
 of half of the arms, `specification.json` (limits of what is healthy; the others are carefully
 calibrated). Each hides one to five causes of the gap between arm and model, one that is on no list,
-or none. What lies within its limit is no cause.
+or none. What lies within its limit is no cause. Of some, `reference` holds an earlier recording of
+the same arm and tool: causes are then what has changed since, from a fifth of its limit on.
 
 1. Answer from these files alone, each recording by itself. No answer may depend on another
    recording, on file times or names, or on a simulation with this set's seed.
@@ -114,8 +115,9 @@ def rules() -> str:
 def full_plan(seed: int, per_class: int, healthy: int) -> dict[str, Case]:
     """Plan a set: cases by the names of their recordings.
 
-    There are 10 pairs, 6 cases of three to five effects and two twins for each of `per_class`; arms
-    take turns. Joints, pairs and twins are drawn.
+    There are 10 pairs, 6 cases of three to five effects, two twins, 10 changes since a reference
+    and 4 references without one for each of `per_class`; arms take turns, of those with a reference
+    the usual ones. Joints, pairs, twins and changes are drawn.
 
     Args:
         seed: Seed of the set, of which names, draws and the cases' own seeds follow.
@@ -139,6 +141,8 @@ def full_plan(seed: int, per_class: int, healthy: int) -> dict[str, Case]:
     wanted += [("unknown_test", name, s) for name in TEST_UNKNOWN for s in ("clear", "gross")]
     wanted += [("pair", "", "clear")] * _PAIRS_PER_CLASS + [("ambiguous", "", "clear")] * 2
     wanted += [("several", "", "clear")] * _SEVERAL_PER_CLASS
+    wanted += [("changed", "", "clear")] * _CHANGED_PER_CLASS
+    wanted += [("unchanged", "", "clear")] * _UNCHANGED_PER_CLASS
     wanted = [*wanted * per_class, *[(NONE, "", "clear")] * healthy]
     sorts: list[Sort] = []
     for number, (kind, effect, strength) in enumerate(wanted):
@@ -147,6 +151,8 @@ def full_plan(seed: int, per_class: int, healthy: int) -> dict[str, Case]:
         }
         # One further in each turn over the arms, so that a strength isn't always of the same one.
         arm = list(ARMS)[(number + number // len(ARMS)) % len(ARMS)]
+        if kind in SINCE:  # a fifth of the limits of an arm that has some
+            arm = arm.removesuffix(USUAL) + USUAL
         if effect and not at[arm]:
             arm = "galen_usual" if arm.endswith(USUAL) else "galen"
         names = (at[arm][random.integers(len(at[arm]))],) if effect else ()

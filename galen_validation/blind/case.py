@@ -49,7 +49,7 @@ from galen_validation.blind.measuring import (
     tool_file,
     write_recording,
 )
-from galen_validation.blind.session import ARMS, BAGS, USUAL, draw_session
+from galen_validation.blind.session import ARMS, BAGS, REFERENCE, USUAL, draw_session
 from galen_validation.blind.unlisted import (
     CALIBRATION_UNKNOWN,
     NEED_SPRINGS,
@@ -62,7 +62,12 @@ STRENGTHS = {"faint": 6.0, "clear": 30.0, "gross": 150.0}
 OF_LIMITED = {"faint": 3.0, "clear": 10.0, "gross": 60.0}
 """D of those that a specification limits, which allows for as much beside them."""
 
-KINDS = ("none", "single", "pair", "several", "unknown_calibration", "unknown_test", "ambiguous")
+KINDS = (
+    "none", "single", "pair", "several", "unknown_calibration", "unknown_test", "ambiguous",
+    "changed", "unchanged",
+)  # fmt: skip
+SINCE = "changed", "unchanged"
+"""Kinds with an earlier recording of the arm: a single cause since, and none."""
 
 TELLABLE = 3.3
 """Two causes nearer to each other than this can't be separated: 5 % errors each way, 2 x 1.65."""
@@ -73,6 +78,8 @@ BEYOND = 3.0
 """Causes over so many times their limit are to be named."""
 _LEAST = {"faint": 1.0 / 3.0, "clear": BEYOND, "gross": 2.0 * BEYOND}
 """Causes are at least so many times their limit."""
+_CHANGE = 0.2
+"""Changes since a reference are at least such a share of their limit."""
 _SEVERAL = (3, 4, 5)
 _NEAR = 1.25
 _STEPS = 5
@@ -112,7 +119,7 @@ class Truth:
 
 
 def generate(case: Case, directory: Path) -> Truth:
-    """Write the case's recording into a new directory.
+    """Write the case's recording into a new directory; an earlier one into `reference` in it.
 
     Args:
         case: What is asked for.
@@ -136,14 +143,31 @@ def generate(case: Case, directory: Path) -> Truth:
     tolerance = draw_tolerance(case.seed, case.tolerance, arm=arm, usual=usual)
     changed, truth = Measurement(session, tolerance), Truth()
     specified = limits(session) if usual else None
-    if case.kind != "none":
-        changed, truth = _hidden(case, _Yardstick(changed, specified))
-    directory.mkdir(parents=True, exist_ok=True)
-    write_recording(directory, changed)
-    if specified is not None:
-        content = {"schema_version": 1, "name": "data sheets", "limits": specified}
-        write_whole(directory / SPECIFICATION_FILE, json.dumps(content, indent=1))
+    written = {directory: changed}
+    if case.kind in SINCE:
+        before = int(np.random.default_rng([case.seed, 4]).integers(2**31))
+        earlier = draw_session(before, bags, arm=arm, usual=usual, tool=session.tool)
+        written[directory / REFERENCE] = Measurement(earlier, tolerance)
+    if case.kind not in ("none", "unchanged"):
+        share = _CHANGE / BEYOND if case.kind in SINCE else 1.0
+        changed, truth = _hidden(case, _Yardstick(changed, _scaled(specified, share)))
+        written[directory] = changed
+    for folder, measured in written.items():
+        folder.mkdir(parents=True, exist_ok=True)
+        write_recording(folder, measured)
+        if specified is not None:
+            content = {"schema_version": 1, "name": "data sheets", "limits": specified}
+            write_whole(folder / SPECIFICATION_FILE, json.dumps(content, indent=1))
     return truth
+
+
+def _scaled(specified: Mapping[str, Any] | None, share: float) -> Mapping[str, Any] | None:
+    if specified is None:
+        return None
+    return {
+        effect: {part: share * limit for part, limit in by_part(of).items()}
+        for effect, of in specified.items()
+    }
 
 
 def observed(
@@ -420,8 +444,10 @@ def _drawn(rng: np.random.Generator, case: Case, healthy: Measurement) -> tuple[
     arm = healthy.session.arm
     there = [e for e in listed(arm) if "push" in healthy.session.takes or e not in NEED_PUSHES]
     shows = [e for e in UNLISTED if arm.stiffness or e not in NEED_SPRINGS]
+    singles: list[tuple[str, ...]] = [(name,) for name in there]
     lists: dict[str, list[tuple[str, ...]]] = {
-        "single": [(name,) for name in there],
+        "single": singles,
+        "changed": singles,
         "pair": [pair for pair in pairs(arm) if set(pair) <= set(there)],
         "unknown_calibration": [(name,) for name in shows if name in CALIBRATION_UNKNOWN],
         "unknown_test": [(name,) for name in shows if name in TEST_UNKNOWN],

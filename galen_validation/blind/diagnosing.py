@@ -23,6 +23,7 @@ from galen_model.files.atomic_file import write_whole
 
 from galen_validation.blind import confine
 from galen_validation.blind.answers import ANSWER
+from galen_validation.blind.session import REFERENCE
 
 PROGRAM = "galen_diagnosis"
 Diagnose = Callable[[Path], Mapping[str, Any]]
@@ -54,7 +55,12 @@ def diagnosed(recording: Path) -> dict[str, Any]:
     # Those without a file are of carefully calibrated arms.
     given = () if (recording / SPECIFICATION_FILE).exists() else (CALIBRATED,)
     read = read_recording(recording, specification=given)
-    found = diagnose_recording(read).answer.to_json()
+    earlier = [
+        read_recording(folder, specification=given)
+        for folder in [recording / REFERENCE]
+        if folder.exists()
+    ]
+    found = diagnose_recording(read, references=earlier).answer.to_json()
     own = {**found, "seconds": time.monotonic() - started_s}
     return {**answers(Observation(read)), PROGRAM: own}
 

@@ -28,12 +28,16 @@ from galen_model.json_fields import (
 from galen_sim_driver.effects.registry import identity_of
 
 LABELS, SEAL = "labels.json", "labels.sha256"
-LabelKind = Literal["single", "none", "unknown", "pair", "several", "ambiguous"]
+LabelKind = Literal[
+    "single", "none", "unknown", "pair", "several", "ambiguous", "changed", "unchanged"
+]
 _EFFECTS = {
     "single": (1,),
     "pair": (2,),
     "several": (3, 4, 5),
     "ambiguous": (1,),
+    "changed": (1,),
+    "unchanged": (0,),
     NONE: (0,),
     UNKNOWN: (1,),
 }
@@ -66,7 +70,7 @@ class Label:
     @property
     def answer(self) -> str:
         """What the first of a ranking should be: of pairs the first effect."""
-        return self.kind if self.kind in (NONE, UNKNOWN) else self.names[0]
+        return UNKNOWN if self.kind == UNKNOWN else (*self.names, NONE)[0]
 
     @property
     def wanted(self) -> tuple[frozenset[str], ...]:
@@ -84,7 +88,7 @@ class Label:
     @property
     def sure(self) -> bool:
         """Whether a cause is there that must be found: all but faint ones."""
-        return self.kind != NONE and self.strength != "faint"
+        return bool(self.effects) and self.strength != "faint"
 
     @property
     def effect(self) -> str:

@@ -91,8 +91,8 @@ class Answered:
     @property
     def solved(self) -> bool:
         """Whether verdict and causes are right; with twins `ambiguous` is, too."""
-        if self.label.kind in (NONE, UNKNOWN):
-            return self.verdict == self.label.kind
+        if self.label.answer in (NONE, UNKNOWN):
+            return self.verdict == self.label.answer
         alone = all(len(names) == 1 for names in self.label.wanted)
         return self.verdict in ("identified", "" if alone else "ambiguous") and self.all_named
 
@@ -252,7 +252,7 @@ def _rates(cases: Sequence[Answered]) -> dict[str, Rate]:
     """Rates that are counts of one property of some of the recordings."""
     of = {
         kind: [c for c in cases if c.label.kind == kind]
-        for kind in ("single", "pair", "several", UNKNOWN)
+        for kind in ("single", "pair", "several", "changed", "unchanged", UNKNOWN)
     }
     twins = [c for c in cases if c.label.kind in ("single", "ambiguous")]
     twins = [c for c in twins if c.label.sure and len(c.label.accepted - {NONE}) > 1]
@@ -271,6 +271,11 @@ def _rates(cases: Sequence[Answered]) -> dict[str, Rate]:
             c.all_named and c.said is not None and len(c.said.causes) == len(c.label.names)
             for c in of["several"]
         ),
+        "changed_named": rate(c.all_named for c in of["changed"]),
+        "changed_whole": rate(
+            c.all_named and c.said is not None and len(c.said.causes) == 1 for c in of["changed"]
+        ),
+        "unchanged_alarms": rate(c.verdict != NONE for c in of["unchanged"]),
         "twins_named": rate(
             c.said is not None and c.label.accepted - {NONE} <= c.said.named for c in twins
         ),

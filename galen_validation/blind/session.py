@@ -31,6 +31,8 @@ from scipy.spatial.transform import Rotation
 from galen_validation.blind.mujoco_arm import Body
 
 BAGS = ("sweep", "motion", "push")
+REFERENCE = "reference"
+"""Folder of an earlier recording, in a recording's."""
 _POSES = 56
 _HIGHEST_JITTER_S = 3e-4
 _MOVE_BETWEEN_PUSHES_S = 2.5
@@ -230,7 +232,12 @@ class Session:
 
 
 def draw_session(
-    seed: int, bags: tuple[str, ...] = BAGS, *, arm: Arm, usual: bool = False
+    seed: int,
+    bags: tuple[str, ...] = BAGS,
+    *,
+    arm: Arm,
+    usual: bool = False,
+    tool: Tool | None = None,
 ) -> Session:
     """Draw the session of a seed with an arm.
 
@@ -240,15 +247,17 @@ def draw_session(
             nothing.
         arm: The nominal arm.
         usual: Whether the arm is as data sheets say; serial ones then have heavier tools.
+        tool: That of an earlier session; None to draw one.
 
     Returns:
         The session, before any cause is known.
 
     """
     rng = np.random.default_rng([seed, 1])
-    tool = TOOLS[rng.integers(len(TOOLS))]
+    drawn = TOOLS[rng.integers(len(TOOLS))]
     if usual and arm.delta is None:
-        tool = replace(tool, mass_kg=_HEAVIER * tool.mass_kg)
+        drawn = replace(drawn, mass_kg=_HEAVIER * drawn.mass_kg)
+    tool = tool or drawn
     makers = {"sweep": _sweep, "motion": _motion, "push": _push}
     takes: dict[str, Take] = {}
     start_s = 0.0

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from galen_bags.formats.bag import open_bag
+from galen_diagnosis.inference.diagnosing import diagnose_recording
 from galen_diagnosis.observation.recording import read_recording
 from galen_model.arm.galen import GALEN, SENSOR
 from galen_model.errors import GalenError
@@ -33,7 +34,15 @@ from galen_validation.blind.mujoco_arm import (
     Slider,
     require_mujoco,
 )
-from galen_validation.blind.session import ADAPTER, ARMS, BAGS, TOOLS, Clock, draw_session
+from galen_validation.blind.session import (
+    ADAPTER,
+    ARMS,
+    BAGS,
+    REFERENCE,
+    TOOLS,
+    Clock,
+    draw_session,
+)
 from galen_validation.blind.unlisted import CALIBRATION_UNKNOWN, TEST_UNKNOWN, UNLISTED
 
 LISTED = listed(GALEN)
@@ -470,6 +479,25 @@ def test_a_usual_arm_is_drawn_within_the_limits_that_its_recording_states(tmp_pa
         assert 0.1 * limit < np.max(np.abs(drawn[kind])) <= limit
     assert specification.limit("axis_gain") == pytest.approx(4e-3)
     assert np.max(np.abs(drawn["crosstalk"])) > 0.0 == np.max(np.abs(NOMINAL["crosstalk"]))
+
+
+@pytest.mark.slow
+def test_a_change_since_a_reference_is_of_the_same_arm_on_another_day(tmp_path):
+    folder = tmp_path / "made"
+    asked = Case(6, "changed", ("axis_gain",), bags=("sweep",), arm="galen_usual")
+    truth = generate(asked, folder)
+    later, earlier = read_recording(folder), read_recording(folder / REFERENCE)
+    assert earlier.tool.load.load.mass_kg == later.tool.load.load.mass_kg
+    assert earlier.specification == later.specification
+    assert len(earlier.bags["sweep"].wrench_s) != len(later.bags["sweep"].wrench_s)
+    (effect,) = truth.effects
+    gain = np.max(np.abs(effect["parameters"]["gain"]))
+    assert gain > 0.2 * later.specification.limit("axis_gain")
+    found = diagnose_recording(later, references=[earlier]).answer
+    assert found.causes[0].label == "axis_gain"
+    told = found.causes[0].parameters["gain"]
+    for one, true in zip(told, effect["parameters"]["gain"], strict=True):
+        assert one.low <= true <= one.high
 
 
 @pytest.mark.parametrize(

@@ -15,11 +15,11 @@ from galen_validation import blind_check
 from galen_validation.blind import blind_protocol, confine
 from galen_validation.blind.baselines import NAIVE_BIC
 from galen_validation.blind.blind_protocol import full_plan, make, short_plan
-from galen_validation.blind.case import STRENGTHS, Truth
+from galen_validation.blind.case import SINCE, STRENGTHS, Truth
 from galen_validation.blind.causes import EFFECTS
 from galen_validation.blind.diagnosing import PROGRAM
 from galen_validation.blind.labels import open_labels
-from galen_validation.blind.session import ARMS
+from galen_validation.blind.session import ARMS, USUAL
 from galen_validation.blind.unlisted import CALIBRATION_UNKNOWN, TEST_UNKNOWN
 
 PROBE = (sys.executable, str(Path(__file__).with_name("blind_probe.py")))
@@ -28,7 +28,9 @@ SHORT = {"per_class": 3, "healthy": 60, "short": True}
 
 def fake_generate(case, directory):
     """A recording of one small file; what the probe is to answer stands in it."""
-    drawn = {"none": (), "pair": EFFECTS[:2], "several": EFFECTS[:3]}.get(case.kind, ("hail",))
+    drawn = {"none": (), "unchanged": (), "pair": EFFECTS[:2], "several": EFFECTS[:3]}.get(
+        case.kind, ("hail",)
+    )
     effects = case.effects or drawn
     reads = {"none": "none", "unknown_test": "unknown"}.get(case.kind, (*effects, "none")[0])
     if effects == ("bias_step",):
@@ -153,8 +155,9 @@ def test_plans():
     assert len({case.seed for case in cases}) == len(plan)
     for arm in ARMS:
         own = [case.kind for case in cases if case.arm == arm]
-        assert 0.2 < len(own) / len(plan) < 0.3
+        assert 0.2 < np.mean([kind not in SINCE for kind in own]) * len(own) / len(plan) < 0.3
         assert set(own) >= {"single", "pair", "several", "none", "unknown_test"}
+        assert ({"changed", "unchanged"} <= set(own)) == arm.endswith(USUAL)
     assert {c.kind for c in short_plan(1).values()} == {"none", "single", "pair", "unknown_test"}
 
 

@@ -104,6 +104,22 @@ def test_false_alarms_and_detection_go_by_the_verdict():
     )
 
 
+def test_changes_since_a_reference_are_rates_of_their_own():
+    changed = label("c", "changed", strength="clear")
+    cases = [
+        Answered(changed, said({"alpha": 0.9})),
+        Answered(changed, said({"alpha": 0.9}, causes=["alpha", "gamma"])),
+        Answered(changed, said({"none": 0.9}, "none")),
+        Answered(label("u", "unchanged", ()), said({"none": 0.9}, "none")),
+        Answered(label("u", "unchanged", ()), said({"alpha": 0.9})),
+    ]
+    assert [case.solved for case in cases] == [True, True, False, True, False]
+    values = score(cases).values
+    assert values["changed_named"] == Rate(2, 3) and values["changed_whole"] == Rate(1, 3)
+    assert values["unchanged_alarms"] == Rate(1, 2)
+    assert values["false_alarms"].of == values["top1_clear"].of == 0
+
+
 def test_unlisted_causes_go_by_the_verdict_and_by_kind():
     cases = [
         Answered(label("u", "unknown", (kind,), strength="clear"), said({"unknown": 0.9}, verdict))
