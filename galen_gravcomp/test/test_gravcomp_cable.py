@@ -92,6 +92,19 @@ def test_the_fast_way_is_the_posteriors(form):
     assert not pull.reading((1e6, -1e6, 1e6, 1e6, -1e6)).any()
 
 
+def test_an_endless_joint_a_turn_away_is_where_it_was_seen():
+    joints = tuple(replace(joint, lower=-np.inf, upper=np.inf) for joint in GALEN.joints[3:])
+    arm = replace(GALEN, joints=GALEN.joints[:3] + joints)
+    drag = replace(a_drag(), arm=arm)
+    pull, at = CablePull(drag, arm), drag.joints[7] + 0.01
+    seen, turned = tuple(at.tolist()), tuple((at + [0, 0, 0, 2.0 * np.pi, -4.0 * np.pi]).tolist())
+    expected = pull.reading(seen)
+    assert pull.weight == 1.0
+    assert pull.reading(turned) == pytest.approx(expected, abs=1e-12)
+    assert drag.posterior.readings([turned]) == pytest.approx(expected[None], abs=1e-12)
+    assert drag.posterior.covariance(turned) == pytest.approx(drag.posterior.covariance(seen))
+
+
 # --- in the compensator -------------------------------------------------------------------------
 
 

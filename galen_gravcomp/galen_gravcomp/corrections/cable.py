@@ -29,8 +29,7 @@ class CablePull:
         self._posterior = posterior = drag.posterior
         self._count = len(drag.joints)
         # From the middle of the poses, so that no digits are lost in the differences.
-        self._middle: Array = drag.joints.mean(axis=0)
-        poses = drag.joints - self._middle
+        poses = drag.joints - posterior.middle
         squares = np.array([posterior.lengths, posterior.support_lengths]) ** -2.0
         linear = np.concatenate([poses * squares[0], poses * squares[1]])
         quadratic = -0.5 * np.repeat(squares, self._count, axis=0)
@@ -114,7 +113,8 @@ class CablePull:
 
     def _compute(self, joints: tuple[float, ...]) -> Array:
         posterior, count = self._posterior, self._count
-        q = np.array(joints) - self._middle
+        middle = posterior.middle
+        q = self._arm.nearest(joints, middle) - middle
         exponents = self._table @ np.concatenate((q, q * q))
         exponents += self._fixed
         kernels = np.exp(exponents)

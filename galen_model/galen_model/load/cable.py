@@ -359,6 +359,8 @@ class CablePosterior:
         """(3 groups, n): g over the kernel's values, but for `constant`."""
         self.constant: Array = (constant * parts.sum(axis=2)).ravel()
         """(3 groups,)."""
+        self.middle: Array = (drag.joints.min(axis=0) + drag.joints.max(axis=0)) / 2.0
+        """(d,) of the poses' range, from which endless joints are at most half a turn away."""
         self.lengths: Array = _lengths(drag)
         """(d,) of the pull, m and rad."""
         self.support_lengths = drag.arm.by_unit(SUPPORT_M, drag.support_rad)
@@ -391,7 +393,7 @@ class CablePosterior:
             Wrenches (n, 6) in ft_sensor, N and N.m.
 
         """
-        q = np.asarray(joints, dtype=float)
+        q = self._drag.arm.nearest(joints, self.middle)
         kernel = smooth_kernel(q, self._drag.joints, self.lengths)
         smooth = (kernel @ self.by_pose.T + self.constant).reshape(len(q), -1, 3)
         matrices = form_matrices(self._drag.form, q, self._drag.attachment_m, self._drag.arm)
@@ -407,7 +409,7 @@ class CablePosterior:
             Weights (n,), from 0 to 1.
 
         """
-        q = np.asarray(joints, dtype=float)
+        q = self._drag.arm.nearest(joints, self.middle)
         kernel = smooth_kernel(q, self._drag.joints, self.support_lengths)
         return support_step(1.0 - np.einsum("ni,ij,nj->n", kernel, self.support, kernel))
 
@@ -438,7 +440,7 @@ class CablePosterior:
             (6, 6), N and N.m squared, in ft_sensor, not inflated.
 
         """
-        q = np.asarray(joints, dtype=float)[None]
+        q = self._drag.arm.nearest(joints, self.middle)[None]
         across = prior_covariance(self._drag, q, self._drag.joints)
         known = across @ cho_solve(self._factor, across.T)
         return np.asarray(prior_covariance(self._drag, q, q) - known)
