@@ -166,6 +166,15 @@ def test_a_short_recording_and_one_in_pieces_are_rejected():
         motion_record(stamps[gappy], joints[gappy], same, wrench, arm=GALEN)
 
 
+def test_an_endless_joint_that_is_reported_within_one_turn_moves_all_the_same():
+    stamps, joints, same, wrench = recording(7, duration_s=5.0)
+    joints[:, 3:] += np.pi - GALEN.home_angles
+    folded = np.where(joints > np.pi, joints - 2.0 * np.pi, joints)
+    assert np.ptp(folded) > 6.0
+    whole, found = (motion_record(stamps, q, same, wrench, arm=GALEN) for q in (joints, folded))
+    np.testing.assert_allclose(found.acceleration_rad_s2, whole.acceleration_rad_s2, atol=1e-6)
+
+
 def test_the_files_moments_are_the_sum_of_both_loads_with_their_covariances():
     covariance = np.diag([1e-4, 1e-5, 2e-5, 3e-5]) ** 2
     tool = CalibrationFile(

@@ -121,6 +121,8 @@ def motion_record(
     mounting = mounting or Mounting.of(arm)
     kept = np.isfinite(joints).all(axis=1)
     joint_stamp_ns, joints = joint_stamp_ns[kept], joints[kept]
+    # Some drivers report endless joints within one turn.
+    joints = arm.with_angles(np.unwrap(arm.angles(joints), axis=0), joints)
     kept = np.isfinite(wrenches).all(axis=1)
     wrench_stamp_ns, wrenches = wrench_stamp_ns[kept], wrenches[kept]
     start_ns = int(joint_stamp_ns[0]) if len(joint_stamp_ns) else 0
