@@ -142,6 +142,11 @@ def test_the_old_file_is_kept_as_bak(tmp_path):
     ("change", "message"),
     [
         ({"schema_version": 3}, "schema_version is 3"),
+        ({"schema_version": True}, "schema_version is True"),
+        (
+            {"arm": {"name": "galen", "joints": GALEN.joint_names, "urdf_sha256": None}},
+            "arm.urdf_sha256 is None",
+        ),
         (
             {"load": {"mass_kg": 0.0, "com_m": [0, 0, 0], "covariance": np.eye(4).tolist()}},
             "load.mass_kg",

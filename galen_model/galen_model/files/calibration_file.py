@@ -435,7 +435,8 @@ def _wrench_to_json(wrench: Array) -> dict[str, Any]:
 def _from_json(content: Any, arm: Arm, other_arms: bool = False) -> CalibrationFile:
     whole = mapping(content, "the file")
     check_kind(whole, CALIBRATION_FILE)
-    if whole.get("schema_version") == 1:
+    version = whole.get("schema_version")
+    if version == 1 and version is not True:
         whole = _from_schema_1(whole)
     check_version(whole, SCHEMA_VERSION)
     made = _made_on(get(whole, "arm"))
@@ -511,7 +512,7 @@ def _made_on(value: Any) -> ArmIdentity:
     name = text(get(whole, "name"), "arm.name")
     # Empty: the description is not known.
     digest = get(whole, "urdf_sha256")
-    return ArmIdentity(name, joints, digest and text(digest, "arm.urdf_sha256"))
+    return ArmIdentity(name, joints, "" if digest == "" else text(digest, "arm.urdf_sha256"))
 
 
 def _check_arm(made: ArmIdentity, here: Arm, frame: str) -> None:
