@@ -114,6 +114,11 @@ def test_what_can_not_be_reached_is_named():
     assert "carriage" in clearance([5, 5, 5, 6, 6, 6]).pose_fault(high)
 
 
+def test_a_node_straight_ahead_is_reached_where_home_is_far_from_the_lattice():
+    router = Router(clearance(), GALEN.home, angle_grid((1.0, 0.5), (1.2, 0.7), 2, 2))
+    assert router.lattice_faults == [""] * 4
+
+
 @pytest.mark.parametrize(
     ("numbers", "message"),
     [

@@ -56,7 +56,7 @@ class Router:
         for index in range(1, len(self._nodes)):
             fault = self._faults[index]
             if not fault and not np.isfinite(lengths[0, index]):
-                fault = self._path_fault(self._home, self._nodes[index]) or "no way leads there"
+                fault = self.fault(self._nodes[index])
             faults.append(fault)
         return faults
 
