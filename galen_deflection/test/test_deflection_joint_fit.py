@@ -14,6 +14,7 @@ from galen_model.transmission import (
     JointRun,
     Scales,
     design,
+    encoder_step,
     swapped,
     time_blocks,
     whole_runs,
@@ -169,3 +170,9 @@ def test_runs_that_may_train_for_each_other():
         whole_runs(runs, "(")
     with pytest.raises(GalenError, match="2 runs"):
         whole_runs(runs[:2])
+
+
+@pytest.mark.filterwarnings("error")
+def test_an_angle_that_stays_shows_no_step_of_an_encoder():
+    assert encoder_step(np.full(100, 0.3)) == 0.0
+    assert encoder_step(np.repeat([0.3, 0.31], 50)) == pytest.approx(0.01)

@@ -119,7 +119,7 @@ def encoder_step(angle: Array) -> float:
 
     """
     distinct = np.unique(angle)
-    if len(distinct) > 0.5 * len(angle):
+    if not 1 < len(distinct) <= 0.5 * len(angle):
         return 0.0
     apart = np.diff(distinct)
     step = float(np.median(apart))
