@@ -211,6 +211,22 @@ def test_a_calibration_written_at_the_last_moment_is_not_lost(
     assert not list(store.directory.glob(".*"))
 
 
+def test_a_third_file_under_the_name_leaves_the_one_set_aside_as_bak(tmp_path: Path) -> None:
+    path = tmp_path / "a.json"
+    path.write_text("second")
+
+    def no_and_a_third(aside: Path) -> bool:
+        path.write_text("third")
+        return False
+
+    with pytest.raises(OSError, match="ask again"):
+        atomic_file.unlink_if(path, no_and_a_third)
+    assert {file.name: file.read_text() for file in tmp_path.iterdir()} == {
+        "a.json": "third",
+        "a.json.bak": "second",
+    }
+
+
 def test_odd_names_and_texts_can_be_told_in_messages(store: CalibrationStore) -> None:
     """A byte or half a surrogate pair that is no UTF-8 would end a node that sends it."""
     (store.directory / os.fsdecode(b"\xff.json")).touch()

@@ -110,8 +110,8 @@ def rename_to_free(path: Path, free: Path) -> None:
 def unlink_if(path: Path, is_it: Callable[[Path], bool]) -> None:
     """Remove a file if it still is what it was, which is asked when no other can be put there.
 
-    It is renamed first, in one step; one that is something else gets its name back, unless there is
-    yet another by then.
+    It is renamed first, in one step; one that is something else gets its name back, or becomes
+    `.bak` where there is yet another by then.
 
     Args:
         path: file to remove.
@@ -129,7 +129,7 @@ def unlink_if(path: Path, is_it: Callable[[Path], bool]) -> None:
         aside.unlink()
     except BaseException:
         if os.path.lexists(path):  # newer still
-            aside.unlink()
+            aside.replace(path.with_name(path.name + ".bak"))
         else:
             aside.rename(path)
         raise
