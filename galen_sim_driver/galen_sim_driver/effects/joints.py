@@ -36,17 +36,16 @@ down.
 In a push: a moment M about the axis takes the joint to the side of the gap that it points to, and
 there it stays until a moment points the other way. It takes M_s (`seat` times 0.05 N.m, or 0.5 N of
 a sliding joint) to move it at all, so that what a sensor's noise makes of no load does nothing, and
-3 M_s to take it all the way. With u = M / M_s, and clip to -1 ... 1,
+(1 + w) M_s, w = `width`, to take it all the way. With u = M / M_s, and clip to -1 ... 1,
 
-    s_k = min(max(s_(k-1), clip(u - 2)), clip(u + 2)),
+    s_k = min(max(s_(k-1), clip(2 (u - 1) / w - 1)), clip(2 (u + 1) / w + 1)),
 
 and the tip moves by s h less where it rested. Rest is where the last motion left the joint: on the
 side it came from, s = -1 after going up; `start` before any motion. So the first push moves it by h
 from the middle, and by the whole gap or not at all after a motion.
 
-With the crossing `centred` the joint is at s = `start` before the first push after a motion, and it
-crosses at once: u - 2 is 4 u - 5 there, and u + 2 is 4 u + 5. With `soft` nothing sticks: gears and
-bearings give way within the gap,
+With the crossing `centred` the joint is at s = `start` before the first push after a motion. With
+`soft` nothing sticks, and `width` is without effect: gears and bearings give way within the gap,
 
     s = tanh(u + u_0),    u_0 = 2 `start`,
 
