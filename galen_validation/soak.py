@@ -108,13 +108,16 @@ class StampLedger:
 
         Args:
             last: Whether to compare up to the newest stamp of both sides, and not `allowed_ns`
-                less.
+                less; where the output ended, up to 60 times that before the newest input.
 
         """
-        if not self._inputs or not self._outputs:
+        if not self._inputs or not self._newest_out:
             return
-        until_ns = min(max(self._inputs), max(self._outputs))
-        if not last:
+        newest_in = max(self._inputs)
+        until_ns = min(newest_in, self._newest_out)
+        if last:
+            until_ns = max(until_ns, newest_in - 60 * self._allowed_ns)
+        else:
             until_ns -= self._allowed_ns
         inputs = [stamp for stamp in self._inputs if stamp <= until_ns]
         outputs = [stamp for stamp in self._outputs if stamp <= until_ns]
@@ -425,7 +428,8 @@ def _watch(
                 out.time_s.append(passed_s)
                 for name, pid in pids.items():
                     out.memory_mb[name].append(memory_mb(pid))
-                delays_ms = np.array(listener.delays_ns) * 1e-6
+                # Where nothing came out, a wrench is late by the window at least.
+                delays_ms = np.array(listener.delays_ns or [round(_WINDOW_S * NS_PER_S)]) * 1e-6
                 listener.delays_ns.clear()
                 if kind == "real":
                     p50, p99 = np.percentile(delays_ms, (50, 99))
@@ -441,7 +445,7 @@ def _watch(
         name: 100.0 * (cpu_s(pid) - used_s[name]) / elapsed_s for name, pid in pids.items()
     }
     for name, ledger in listener.ledgers.items():
-        ledger.settle()
+        ledger.settle(last=True)
         out.accounts[name] = ledger.account
     out.states = dict(listener.states)
     return out

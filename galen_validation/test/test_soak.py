@@ -2,11 +2,15 @@
 """A soak of some seconds: what it counts is there, and what breaks is seen."""
 
 import io
+from itertools import count
+from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 from rich.console import Console
 
+from galen_validation import soak as soak_module
 from galen_validation.soak import Account, StampLedger, print_report, slope_per_hour, soak
 
 
@@ -33,6 +37,22 @@ def test_the_slope_of_memory_leaves_out_the_warm_up():
     memory[:50] -= 40.0  # while it starts
     slope, error = slope_per_hour(time_s.tolist(), memory.tolist())
     assert abs(slope - 2.0) < 4.0 * error < 0.1
+
+
+def test_a_node_that_stalls_still_gets_its_report(monkeypatch):
+    clock = SimpleNamespace(monotonic=count(0.0, 0.01).__next__)
+    monkeypatch.setattr(soak_module, "time", clock)
+    ledger = StampLedger()
+    ledger.come_out(MS)
+    for second in range(40):
+        ledger.go_in(MS + second * 1000 * MS)
+    listener = SimpleNamespace(
+        compensated=1, deflections=1, states={}, delays_ns=[1], stamp_ns=MS, ledgers={"out": ledger}
+    )
+    nothing = Mock()
+    found = soak_module._watch("real", 12.0, listener, nothing, nothing, {})
+    assert found.accounts["out"].lost == 9
+    assert found.delay_p50_ms == [5000.0, 5000.0]
 
 
 # --- the ledger of stamps ---------------------------------------------------------------------
@@ -68,6 +88,9 @@ def test_what_lacks_is_lost():
     gone = set(rng.choice(np.arange(1, 999), 37, replace=False).tolist())
     account = told(STAMPS, [s for k, s in enumerate(STAMPS) if k not in gone])
     assert account == Account(went_in=1000, came_out=963, lost=37)
+    # Of an output that ended what is not old enough may still come.
+    longer = [k * MS for k in range(1, 3001)]
+    assert told(longer, STAMPS[:600]) == Account(went_in=1800, came_out=600, lost=1200)
 
 
 def test_doubled_and_made_up_stamps_are_counted():
