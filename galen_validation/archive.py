@@ -187,6 +187,7 @@ def evaluate(
                     victim.kill()
         time.sleep(_LOOK_S)
         if time.monotonic() - started_s > _WAIT_S:
+            process.kill()
             raise TimeoutError("the command does not end")
     assert process.stdout is not None
     summary = json.loads(process.stdout.read())

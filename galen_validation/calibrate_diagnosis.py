@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Calibrates the few numbers of the evidence on simulated recordings with known causes.
 
-    python -m galen_validation.calibrate_diagnosis CASES [--per-class N] [--write]
+    OMP_NUM_THREADS=1 python -m galen_validation.calibrate_diagnosis CASES [--per-class N] [--write]
 
 makes recordings by the blind arm, with seeds and unknown kinds that `blind_check` never uses,
 explores each (CASES keeps what came out, so that a run can be taken up again), and fits the
@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -295,7 +294,6 @@ def _part(text: str) -> tuple[int, int]:
 
 
 def _run(given: argparse.Namespace) -> int:
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
     given.cases.mkdir(parents=True, exist_ok=True)
     part, parts = given.part
     mine = plan(given.per_class)[part::parts]
