@@ -217,6 +217,13 @@ def test_gravcomp_goes_and_comes_back(world, tools_dir):
     assert world.ask(world.suite.activate("retractor")).ok
 
 
+def test_the_active_tool_is_shown_again_when_a_silent_gravcomp_reports(with_gravcomp, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr(ros_board, "SILENT_S", -1.0)
+        with_gravcomp.wait_for(lambda state: state.active_tool is None, "a silent gravcomp")
+    with_gravcomp.wait_for(lambda state: state.active_tool, "the active tool again")
+
+
 def test_with_nothing_there_every_call_answers_at_once(world):
     for coroutine in calls(world.suite):
         answer, took_s = world.timed(coroutine)

@@ -223,8 +223,6 @@ class Tools:
         there = "gravcomp/set_tool" in self._board.state.available
         if there != self._there:
             self._there = there
-            if not there:
-                self._active = None
             self._next_list_s = now_s
             self._show_active()
         if now_s >= self._next_list_s and "gravcomp/list_tools" in self._board.state.available:
