@@ -21,7 +21,7 @@ from galen_model.arm.galen import GALEN
 from galen_model.files.calibration_file import CalibrationFile, write_calibration, zeroed_at
 from galen_model.load.model import LoadEstimate
 from galen_panel.access import Access
-from galen_panel.recordings.bag_worker import diagnose
+from galen_panel.recordings.bag_worker import diagnose, evaluate
 from galen_panel.recordings.recordings import Recordings
 from galen_panel.recordings.reports import (
     EVALUATION,
@@ -160,6 +160,17 @@ def test_a_bag_of_another_arm_is_evaluated_on_the_panels(tmp_path):
     job, _ = finished(recordings, 1)
     recordings.jobs.close()
     assert (job.stage, recordings.reports.all()[0].verdict) == ("done", "fits"), job.text
+
+
+@pytest.mark.slow
+def test_a_bag_with_its_own_description_is_evaluated_on_that(tmp_path):
+    tool = tmp_path / "tools" / "gripper.json"
+    write_rest(tmp_path / "rest", tool, read_arm(URDF, sensor_frame="tool0"))
+    (tmp_path / "rest" / "arm.urdf").write_text(URDF)
+    panels = {"urdf": "<robot/>", "base_frame": "floor", "sensor_frame": "flange",
+              "gravity_m_s2": [0.0, 9.81, 0.0]}  # fmt: skip
+    result = evaluate(tmp_path / "rest", tool, tmp_path, {"arm": panels}, lambda *_: None)
+    assert result["verdict"] == "fits"
 
 
 @pytest.mark.slow

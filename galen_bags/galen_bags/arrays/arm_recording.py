@@ -325,9 +325,8 @@ def topics_of(arguments: argparse.Namespace) -> ArmTopics:
 def arm_of_bag(bag: Bag, parameters: ArmParameters, topics: ArmTopics | None = None) -> Arm:
     """Return the arm of the parameters' file, else of the bag's description, else the Galen.
 
-    The description is the bag's `robot_description`, else `arm.urdf` in its directory or the one
-    above, as a recording has it. A described arm's sensor frame is the wrenches' own `frame_id`,
-    unless the parameters name one.
+    The description is that of `description_of_bag`. A described arm's sensor frame is the wrenches'
+    own `frame_id`, unless the parameters name one.
 
     Args:
         bag: an open bag.
@@ -342,7 +341,7 @@ def arm_of_bag(bag: Bag, parameters: ArmParameters, topics: ArmTopics | None = N
         GalenError: a description can't be read, or is of no usable arm.
 
     """
-    text, topics = robot_description(bag) or _arm_file(bag.path), topics or ArmTopics()
+    text, topics = description_of_bag(bag), topics or ArmTopics()
     if not (text or parameters.urdf_file) or parameters.sensor_frame != ArmParameters.sensor_frame:
         return parameters.arm(text)
     topic = topics.find(bag, WRENCH_TYPE)
@@ -355,8 +354,22 @@ def arm_of_bag(bag: Bag, parameters: ArmParameters, topics: ArmTopics | None = N
     return arm
 
 
-def _arm_file(bag: Path) -> str:
-    folder = bag if bag.is_dir() else bag.parent
+def description_of_bag(bag: Bag) -> str:
+    """Return the bag's `robot_description`, else `arm.urdf` in its directory or the one above.
+
+    Args:
+        bag: an open bag.
+
+    Returns:
+        The robot's description (URDF); empty where there is none.
+
+    Raises:
+        GalenError: it can't be read; the message names the bag or the file.
+
+    """
+    if text := robot_description(bag):
+        return text
+    folder = bag.path if bag.path.is_dir() else bag.path.parent
     for file in (folder / ARM_FILE, folder.parent / ARM_FILE):
         try:
             return read_limited(file, MAX_URDF_BYTES, "a robot description").decode()

@@ -100,7 +100,8 @@ def evaluate(
         GalenError: the bag or the calibration can't be used.
 
     """
-    from galen_bags.formats.bag import open_bag, robot_description
+    from galen_bags.arrays.arm_recording import description_of_bag
+    from galen_bags.formats.bag import open_bag
     from galen_common.arm import ArmParameters
     from galen_gravcomp.evaluate.bag import BagJob, EvaluationSettings
     from galen_gravcomp.evaluate.bag_report import report
@@ -110,16 +111,18 @@ def evaluate(
     arm = request["arm"]
     on_progress("reading", None)
     with open_bag(recording) as bag:
-        own = robot_description(bag)
-    file = output / "arm.urdf"
-    if arm["urdf"] and not own:
-        file.write_text(arm["urdf"], encoding="utf-8")
-    parameters = ArmParameters(
-        urdf_file=str(file) if file.exists() else "",
-        base_frame=arm["base_frame"],
-        sensor_frame=arm["sensor_frame"],
-        gravity_m_s2=tuple(arm["gravity_m_s2"]),
-    )
+        own = description_of_bag(bag)
+    parameters = ArmParameters()
+    if own in ("", arm["urdf"]):  # the panel's arm, with its frames and gravity
+        file = output / "arm.urdf"
+        if arm["urdf"]:
+            file.write_text(arm["urdf"], encoding="utf-8")
+        parameters = ArmParameters(
+            urdf_file=str(file) if arm["urdf"] else "",
+            base_frame=arm["base_frame"],
+            sensor_frame=arm["sensor_frame"],
+            gravity_m_s2=tuple(arm["gravity_m_s2"]),
+        )
     job = BagJob(tool=tool, settings=EvaluationSettings(arm=parameters), plots=output)
 
     def counted(done: int, total: int | None) -> None:
