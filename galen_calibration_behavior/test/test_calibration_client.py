@@ -13,7 +13,7 @@ import time
 import pytest
 from calibration_fake_arm import POINTER
 from galen_calibration_behavior.calibration.estimate import format_result
-from galen_calibration_behavior.ros.calibrate import parse
+from galen_calibration_behavior.ros.calibrate import main, parse
 from galen_common.command import EXIT_USAGE
 from galen_ros.goal.client import result_to_dict
 from galen_ros.node.testing import Harness
@@ -248,6 +248,16 @@ def test_wrong_arguments_end_with_code_2(arguments, capsys):
         parse(arguments)
     assert end.value.code == EXIT_USAGE
     assert "calibrate: error:" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("argument", ["pointer", "--cancel"])
+def test_a_domain_that_ros_does_not_have_ends_with_code_2(argument, monkeypatch, capsys):
+    monkeypatch.setenv("ROS_DOMAIN_ID", "999")
+    monkeypatch.setattr(sys, "argv", ["calibrate", argument])
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert end.value.code == EXIT_USAGE
+    assert capsys.readouterr().err.startswith("calibrate: ROS_DOMAIN_ID is 999")
 
 
 def test_the_table_shows_torque_in_mnm_and_every_warning():

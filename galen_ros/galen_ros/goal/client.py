@@ -324,10 +324,9 @@ def cancel_goals(name: str, client: type[GoalClient], timeout_s: float) -> NoRet
 
     Raises:
         SystemExit: always; with EXIT_OK also where no goal runs.
-        GalenError: ROS can't be initialised.
 
     """
-    init_ros(sys.argv)
+    _init_ros(name)
     node = Node(f"{client.node_name}_cancel")
     try:
         service = node.create_client(CancelGoal, f"{client.action_name}/_action/cancel_goal")
@@ -352,6 +351,14 @@ def cancel_goals(name: str, client: type[GoalClient], timeout_s: float) -> NoRet
     raise SystemExit(EXIT_OK)
 
 
+def _init_ros(name: str) -> None:
+    try:
+        init_ros(sys.argv)
+    except GalenError as error:
+        print(f"{name}: {error}", file=sys.stderr)
+        raise SystemExit(EXIT_USAGE) from None
+
+
 def run_client(
     name: str,
     make: Callable[[argparse.Namespace], GoalClient],
@@ -371,11 +378,7 @@ def run_client(
         SystemExit: always.
 
     """
-    try:
-        init_ros(sys.argv)
-    except GalenError as error:
-        print(f"{name}: {error}", file=sys.stderr)
-        raise SystemExit(EXIT_USAGE) from None
+    _init_ros(name)
     client = make(options)
     for number in stop_signals():
         signal.signal(number, client.on_signal)
