@@ -3,9 +3,12 @@
 
 import asyncio
 import math
+import threading
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from galen_model.errors import GalenError
+from galen_panel.ros import thread as ros_thread
 from galen_panel.ros.board import Board
 from galen_panel.ros.thread import CallError, RosThread
 from galen_panel.state.snapshot import Behaviour, BehaviourKind, NodeLevel
@@ -69,6 +72,19 @@ def test_what_can_t_be_set_up_is_raised_where_it_is_started(thread):
             await thread.ask(lambda reply: reply.give(3))
 
     asyncio.run(ask())
+
+
+def test_a_start_that_takes_too_long_is_one_sentence(thread, monkeypatch):
+    monkeypatch.setattr(ros_thread, "_START_PATIENCE_S", 0.1)
+    go_on = threading.Event()
+
+    def set_up(_node):
+        go_on.wait()
+        return lambda _: None
+
+    with pytest.raises(GalenError, match=r"ROS has not started within 0\.1 s"):
+        thread.start("panel", ["panel"], set_up, lambda: None)
+    go_on.set()
 
 
 def test_a_board_has_a_new_revision_only_where_something_is_new():

@@ -108,16 +108,21 @@ class RosThread:
             clean_up: called before the node is destroyed.
 
         Raises:
-            GalenError: ROS can't be initialised, or rclpy rejects a parameter; what `set_up` raises
-                comes out as well.
-            TimeoutError: the node was not made in 30 s.
+            GalenError: ROS can't be initialised, rclpy rejects a parameter, or the node was not
+                made in 30 s; what `set_up` raises comes out as well.
 
         """
         started: Reply[None] = Reply()
         work = (name, argv, set_up, clean_up, started)
         self._thread = threading.Thread(target=self._run, args=work, name="ros", daemon=True)
         self._thread.start()
-        started.result(_START_PATIENCE_S)
+        try:
+            started.result(_START_PATIENCE_S)
+        except TimeoutError:
+            raise GalenError(
+                f"ROS has not started within {_START_PATIENCE_S:g} s: start the panel again when"
+                " the machine is less busy"
+            ) from None
 
     def ask(self, job: Callable[[Reply[T]], None]) -> Awaitable[T]:
         """Run a job in the thread.
