@@ -37,6 +37,8 @@ elif what == "hang":
     sys.stdin.read()
 elif what == "killed":
     os.kill(os.getpid(), signal.SIGKILL)
+elif what == "real-time":
+    os.kill(os.getpid(), 40)
 elif what == "error":
     tell(error="the bag has no joint_states")
     sys.exit(1)
@@ -132,7 +134,11 @@ def test_a_cancel_ends_the_worker_and_all_that_it_started_and_the_next_one_runs(
     ("name", "text"),
     [
         ("error", "It failed: the bag has no joint_states"),
-        ("killed", "Its process was ended by SIGKILL. Perhaps there was not enough memory."),
+        (
+            "killed",
+            "Its process was ended by signal 9 (Killed). Perhaps there was not enough memory.",
+        ),
+        ("real-time", "Its process was ended by signal 40 (Real-time signal 6)."),
         ("crash", "Its process ended with code 1: ValueError: a bug"),
         ("silent", "Its process ended with code 0."),
         ("garbage", "Its process ended with code 0."),

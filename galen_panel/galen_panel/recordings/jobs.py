@@ -322,7 +322,8 @@ class Jobs:
         elif "error" in last:
             self._end(job_id, "failed", f"It failed: {last['error']}")
         elif code < 0:
-            name = signal.Signals(-code).name
+            # Not signal.Signals, which lacks most real-time signals.
+            name = f"signal {-code} ({signal.strsignal(-code)})"
             hint = " Perhaps there was not enough memory." if code == -signal.SIGKILL else ""
             self._end(job_id, "failed", f"Its process was ended by {name}.{hint}")
         else:
