@@ -60,6 +60,7 @@ REPORT_RMSE = {
 }
 """Tables 1 and 2 of the 2019 report, on the real arm: RMSE (6,), N and N.m."""
 
+_END_SIGNALS = (signal.SIGTERM, signal.SIGHUP)
 PANEL = "http://127.0.0.1:8080/"
 NEXT = (
     "ros2 run galen_gravcomp evaluate bags/free_motion --tool bags/tools/retractor.json",
@@ -305,7 +306,8 @@ def plot_drift(tool: str, off: Drift, on: Drift, path: Path) -> None:
 
 def build_parser() -> argparse.ArgumentParser:
     """Build the command's options."""
-    parser = make_parser("demo", __doc__ or "", codes={EXIT_SIGNAL + 15: "ended by SIGTERM"})
+    codes = {EXIT_SIGNAL + one: f"ended by {one.name}" for one in _END_SIGNALS}
+    parser = make_parser("demo", __doc__ or "", codes=codes)
     parser.add_argument(
         "--output", default="output/demo", metavar="DIR", help="tools, figures and logs go here"
     )
@@ -353,7 +355,7 @@ def main(args: Sequence[str] | None = None) -> int:
 
     """
     options = build_parser().parse_args(args)
-    for number in (signal.SIGTERM, signal.SIGHUP):
+    for number in _END_SIGNALS:
         signal.signal(number, _on_terminate)
     console = Console(
         stderr=options.json, width=None if sys.stdout.isatty() else 110, highlight=False

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from galen_common.parameters import ParameterError
 from galen_common.stream.pairing import StreamParameters, WrenchPairing
 from galen_common.stream.regular_run import Arrivals
 from galen_common.stream.samples import Notice, PairedWrench
@@ -93,3 +94,8 @@ def test_the_wrap_of_an_endless_joint_is_no_jump(arm, jumps, as_arrays):
         for stamp, position in zip(stamp_ns.tolist(), joints.tolist(), strict=True):
             pairing.push_joints(stamp, tuple(position))
         assert pairing.notices[Notice.JOINT_JUMP] == jumps
+
+
+def test_a_range_of_five_axes_is_no_parameter_of_the_stream():
+    with pytest.raises(ParameterError, match="'sensor_range' has 5 numbers, but must have 6"):
+        StreamParameters(sensor_range=(1.0,) * 5).validate()

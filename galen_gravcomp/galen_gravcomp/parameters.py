@@ -3,7 +3,7 @@
 
 from dataclasses import dataclass
 
-from galen_common.parameters import param
+from galen_common.parameters import ParameterError, param
 from galen_common.stream.pairing import StreamParameters
 from galen_model.evidence.verdict import Limits
 
@@ -95,23 +95,25 @@ class GravcompParameters(StreamParameters):
         """Check what no single range can say."""
         super().validate()
         if self.motion not in _MOTIONS:
-            raise ValueError(
+            raise ParameterError(
                 f"parameter 'motion' is '{self.motion}', but must be one of {', '.join(_MOTIONS)}"
             )
         if self.setup_check not in _SETUP_CHECKS:
-            raise ValueError(
+            raise ParameterError(
                 f"parameter 'setup_check' is '{self.setup_check}', but must be one of"
                 f" {', '.join(_SETUP_CHECKS)}"
             )
         if self.setup_check == "wait" and not self.calibration_monitor:
-            raise ValueError("parameter 'setup_check' is 'wait', which needs calibration_monitor")
+            raise ParameterError(
+                "parameter 'setup_check' is 'wait', which needs calibration_monitor"
+            )
         if not self.motion_delay_s < self.motion_window_s:
-            raise ValueError(
+            raise ParameterError(
                 f"parameter 'motion_delay_s' is {self.motion_delay_s:g}, but must be less than"
                 f" motion_window_s, {self.motion_window_s:g}"
             )
         for name in ("imu_rotvec_rad", "imu_lever_m", "imu_bias_m_s2"):
             if len(getattr(self, name)) != 3:
-                raise ValueError(
+                raise ParameterError(
                     f"parameter '{name}' has {len(getattr(self, name))} numbers, but must have 3"
                 )

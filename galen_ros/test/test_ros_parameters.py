@@ -25,7 +25,7 @@ class Example:
 
     def validate(self):
         if self.gain > self.gain_limit:
-            raise ValueError(f"gain is {self.gain}, above gain_limit {self.gain_limit}")
+            raise ParameterError(f"gain is {self.gain}, above gain_limit {self.gain_limit}")
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ import numpy as np
 from galen_model.arm.arm import Arm
 from galen_model.arrays import Array
 
-from galen_common.parameters import param
+from galen_common.parameters import ParameterError, param
 from galen_common.stream.regular_run import Arrivals, find_regular_run
 from galen_common.stream.samples import (
     NO_JOINTS_GAP,
@@ -97,11 +97,11 @@ class StreamParameters:
         """Check what no single range can say.
 
         Raises:
-            ValueError: the sensor's range has not six numbers.
+            ParameterError: the sensor's range has not six numbers.
 
         """
         if len(self.sensor_range) != 6:
-            raise ValueError(
+            raise ParameterError(
                 f"parameter 'sensor_range' has {len(self.sensor_range)} numbers, but must have 6"
             )
 

@@ -79,7 +79,7 @@ def _check_options(
         from_options(arguments, GravcompParameters, NODE_OPTIONS).validate()
         if arguments.estimate:
             entities(arguments.estimate, chosen_arm(arguments))
-    except (ValueError, GalenError) as error:
+    except GalenError as error:
         parser.error(str(error))
 
 

@@ -29,8 +29,8 @@ def declare_parameters(
     """Declare every `param` field of a dataclass on a node.
 
     An integer is accepted where a float is asked. The instance's `validate()` is called if it has
-    one; it raises a GalenError (or ValueError) when values don't fit together. A value that can't
-    be used is rejected when set at run time.
+    one; it raises a GalenError when values don't fit together. A value that can't be used is
+    rejected when set at run time.
 
     Args:
         node: that has the parameters.
@@ -150,12 +150,8 @@ def _declare(
 
 def _validate(instance: Any) -> None:
     validate = getattr(instance, "validate", None)
-    if validate is None:
-        return
-    try:
+    if validate is not None:
         validate()
-    except ValueError as error:
-        raise ParameterError(str(error)) from error
 
 
 def warn_of_unknown_parameters(node: Node) -> None:
