@@ -18,6 +18,7 @@ from types import FrameType
 from typing import Literal
 
 EXIT_INTERRUPTED = 130
+EXIT_PIPE_CLOSED = 141
 # One Ctrl-C may come twice: from the terminal, and handed on by `ros2 launch`.
 _SAME_S = 1.0
 
@@ -86,7 +87,8 @@ class Executable:
         """Run the executable.
 
         Returns:
-            What its `main` returns, its exit code; EXIT_INTERRUPTED after Ctrl-C.
+            What its `main` returns, its exit code; EXIT_INTERRUPTED after Ctrl-C, EXIT_PIPE_CLOSED
+            where who reads standard output went away, such as `head`.
 
         """
         _interrupts.take()
@@ -98,10 +100,17 @@ class Executable:
         main = importlib.import_module(self.module).main
         try:
             _interrupts.phase = "working"
-            code: object = main()
-            return code
+            try:
+                code: object = main()
+                return code
+            finally:
+                print(end="", flush=True)
         except KeyboardInterrupt:
             return EXIT_INTERRUPTED
+        except BrokenPipeError:
+            # What is still to be written would fail again at the interpreter's end.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+            return EXIT_PIPE_CLOSED
         finally:
             _interrupts.phase = "ending"
             _interrupts.take()

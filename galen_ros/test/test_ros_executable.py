@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """SIGINT at any time of an executable's life: while it imports, works, and ends."""
 
+import os
 import subprocess
 import sys
 
@@ -104,6 +105,24 @@ def test_a_later_interrupt_ends_a_command_that_tidies_up_for_long(end):
 
 def test_an_interrupt_at_the_end_changes_nothing(end):
     assert end("end") == (7, "", "")
+
+
+@pytest.mark.parametrize("length", [1, 100_000])
+@pytest.mark.parametrize("then", ["return 0", "raise SystemExit(0)"])
+def test_a_reader_that_went_away_ends_the_command_quietly(tmp_path, length, then):
+    work = f"def main():\n    print('x' * {length})\n    {then}\n"
+    (tmp_path / "work.py").write_text(work, encoding="utf-8")
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = subprocess.run(
+        [sys.executable, "-c", _PROGRAM, str(tmp_path)],
+        stdout=writer,
+        stderr=subprocess.PIPE,
+        timeout=30.0,
+        check=False,
+    )
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (141, b"")
 
 
 def test_a_node_interrupted_twice_ends_as_if_once(end):
