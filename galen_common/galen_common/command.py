@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from galen_model.errors import GalenError
 from tqdm import tqdm
@@ -34,6 +34,13 @@ _Options = argparse.ArgumentParser | argparse._ArgumentGroup
 
 
 # Parser and options
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        if "arguments are required" in message:  # an option of several values may have taken them
+            message += " (arguments without an option go first, or after --)"
+        super().error(message)
 
 
 def make_parser(
@@ -66,7 +73,7 @@ def make_parser(
     meanings = {EXIT_OK: ok, EXIT_FAILED: failed, EXIT_USAGE: "wrong arguments"}
     meanings |= {**(codes or {}), EXIT_INTERRUPTED: interrupted}
     lines = [f"  {code:<4d} {text}" for code, text in sorted(meanings.items())]
-    return argparse.ArgumentParser(
+    return _Parser(
         prog=name,
         usage=usage,
         description=description,

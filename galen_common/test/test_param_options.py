@@ -5,6 +5,7 @@ import argparse
 from dataclasses import dataclass
 
 import pytest
+from galen_common.command import make_parser
 from galen_common.parameters import add_options, from_options, param
 
 
@@ -42,3 +43,15 @@ def test_what_the_node_would_reject_is_a_usage_error(arguments, capsys):
         parse(*arguments)
     assert end.value.code == 2
     assert arguments[0] in capsys.readouterr().err
+
+
+def test_the_error_of_arguments_that_an_option_took_names_the_remedy(capsys):
+    parser = make_parser("example", "")
+    parser.add_argument("inputs", nargs="+")
+    parser.add_argument("--reference", nargs="+")
+    with pytest.raises(SystemExit):
+        parser.parse_args(["--reference", "earlier", "later"])
+    assert "required: inputs (arguments without an option go first, or after --)" in (
+        capsys.readouterr().err
+    )
+    assert parser.parse_args(["--reference", "earlier", "--", "later"]).inputs == ["later"]
