@@ -117,6 +117,8 @@ def test_the_command_on_a_table(tmp_path, capsys):
     assert json.loads(capsys.readouterr().out)["duration_s"] == pytest.approx(200.0, abs=1.0)
     assert main([*parts[::-1], "--drift"]) == 1
     assert "the stamps jump back" in capsys.readouterr().err
+    assert main([str(table), "--drift", "--cell-s", "0.05"]) == 1
+    assert "2000 of 3999 cells of 0.05 s hold readings" in capsys.readouterr().err
     np.savetxt(table, reading, delimiter=",", header="fx,fy,fz,tx,ty,tz", comments="")
     assert main([str(table), "--drift"]) == 1
     assert "no column 't'" in capsys.readouterr().err
