@@ -365,7 +365,10 @@ class JointMotion(InertialForces):
             joints: (n,) in the arm's order, m and rad.
 
         """
-        last, self._last = self._last, (stamp_ns, joints)
+        last = self._last
+        if last is not None and self._arm.endless.any():
+            joints = tuple(self._arm.nearest(joints, last[1]).tolist())
+        self._last = stamp_ns, joints
         if last is not None and self._jumps(stamp_ns - last[0], last[1], joints):
             joints = (math.nan,) * len(joints)
         self._window.push(stamp_ns, joints)
