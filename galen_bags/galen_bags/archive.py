@@ -237,7 +237,8 @@ def find_recordings(
         files: what beside them a recording's result depends on, such as the tool's file.
 
     Raises:
-        GalenError: a place is not there, or holds none.
+        GalenError: a place is not there, or holds none; but a local one, with `folders`, is
+            returned as it is: its reader says what lacks, and the others go on.
 
     """
     paths = [one for one in places if isinstance(one, Path)]

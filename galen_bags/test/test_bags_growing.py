@@ -62,6 +62,19 @@ def test_what_was_flushed_can_be_read_while_it_grows(tmp_path: Path) -> None:
             assert any("cut off" in problem for problem in cut.problems)
 
 
+def test_a_log_time_that_no_bag_can_hold_closes_it_and_what_was_flushed_is_whole(
+    tmp_path: Path,
+) -> None:
+    with GrowingBagWriter(tmp_path / "bag") as bag:
+        topic = bag.add_topic("w", WRENCH)
+        write_some(bag, topic, range(10))
+        bag.flush()
+        with pytest.raises(BagError, match=r"bag: can't be written any more: .*; what it holds"):
+            bag.write(topic, -1, message(10))
+        assert not bag.is_open
+    assert read_all(tmp_path / "bag") == expected(range(10))
+
+
 class FullDisk:
     """A file that takes `room` bytes more, half of what is too much, and then no more."""
 

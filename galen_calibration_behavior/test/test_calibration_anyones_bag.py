@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from galen_bags.arrays.arm_recording import arm_of_bag
+from galen_bags.arrays.arm_recording import ArmTopics, arm_of_bag
 from galen_bags.arrays.arm_recording import read_arm as read_recording
 from galen_bags.formats.bag import open_bag
 from galen_bags.formats.writer import BagWriter
@@ -198,9 +198,15 @@ def test_a_frame_that_is_named_is_that_of_the_wrenches(tmp_path, capsys):
     )
 
 
-def test_temperature_beside_the_wrenches_is_that_of_each_pose(tmp_path):
+@pytest.mark.parametrize("log_times", [False, True])
+def test_temperature_beside_the_wrenches_is_that_of_each_pose(tmp_path, monkeypatch, log_times):
+    if log_times:  # stamps of another clock
+        stamped = temperature_bytes
+        monkeypatch.setattr(
+            f"{__name__}.temperature_bytes", lambda stamp, degrees: stamped(stamp % NS, degrees)
+        )
     bag = write_robot(tmp_path / "robot", poses=3, degrees=lambda time_s: 20.0 + 0.1 * time_s)
-    recording = read_recording(bag, arm=ARM)
+    recording = read_recording(bag, ArmTopics(log_times=log_times), arm=ARM)
     assert recording.topics[2] == "/ft/temperature"
     settings = CalibrationParameters(arm=ARM)
     for visit in find_visits(recording, settings).visits:

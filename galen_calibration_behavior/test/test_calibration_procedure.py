@@ -425,7 +425,7 @@ def test_too_few_still_poses_end_it():
 
 
 def test_a_jump_of_the_stamps_costs_a_retry_and_gives_a_warning():
-    world = World(one_sweep=True)
+    world = World(one_sweep=True, warnings=("the tip is not known",))
     world.run(in_state(State.SWEEP_TOOL))
     world.run(lambda w: w.procedure._recorder._window is not None)
     world.arm.skip_ns = 5_000_000_000
@@ -434,7 +434,9 @@ def test_a_jump_of_the_stamps_costs_a_retry_and_gives_a_warning():
     rejected = [f for f in world.of(PoseFeedback) if f.angles and not f.accepted]
     assert len(rejected) == 1
     assert "jumped by +5.010 s" in rejected[0].message
-    assert "time stamps jumped" in world.end.warnings[0]
+    known, jumped = world.end.warnings
+    assert known == "the tip is not known" and "time stamps jumped" in jumped
+    assert world.estimate.warnings == [known, jumped]
     assert len(world.estimate.tool) == 6
 
 

@@ -14,6 +14,7 @@ from action_msgs.msg import GoalStatus
 from collection_world import POSITIONS, CollectionWorld
 from diagnostic_msgs.msg import DiagnosticArray
 from galen_bags.formats.bag import open_bag
+from galen_bags.formats.errors import BagError
 from galen_common.command import EXIT_USAGE
 from galen_deflection.collection.plan import ErrorCode, State
 from galen_deflection.measurement.measured_deflection import measure_deflection
@@ -22,10 +23,12 @@ from galen_deflection.measurement.samples import find_pushes
 from galen_deflection.models.spring_fit import fit_stiffness
 from galen_deflection.models.springs import kinds, tip_wrench
 from galen_deflection.ros.collect import format_result, parse, result_fields
+from galen_deflection.ros.recorder import BagRecording
 from galen_deflection.scoring.cross_check import report_splits, sets_of
 from galen_model.arm.galen import GALEN
 from galen_model.files.calibration_file import read_calibration
 from galen_ros.node.testing import Harness
+from rclpy.node import Node
 
 from galen_msgs.action import CollectPushes
 
@@ -271,3 +274,19 @@ def test_the_client_from_end_to_end_and_its_ctrl_c(tmp_path):
         assert process.returncode == 130, error
         assert "CANCELED" in error
         assert "tuesday.unfinished" in error
+
+
+def test_the_bag_that_a_dead_recorder_was_to_go_on_in_is_closed(tmp_path):
+    with Harness() as harness:
+        node = harness.add(lambda context: Node("recorded", context=context))
+        recording = BagRecording(node, tmp_path / "first", [])
+
+        def broken(timeout_sec):
+            raise RuntimeError("out of order")
+
+        recording._executor.spin_once = broken
+        recording._thread.join(timeout=10.0)
+        with pytest.raises(BagError, match="RuntimeError: out of order"):
+            recording.change(tmp_path / "second")
+        recording.close()
+    assert (tmp_path / "second" / "metadata.yaml").exists()

@@ -18,6 +18,7 @@ from galen_deflection.collection.plan import (
     make_plan,
 )
 from galen_deflection.collection.procedure import CollectionProcedure
+from galen_model.arm.galen import GALEN
 
 
 @dataclasses.dataclass(frozen=True)
@@ -275,6 +276,21 @@ def test_an_arm_that_gives_way_spoils_the_push():
     world.run(in_state(State.PUSH))
     world.arm.drift[3] = 0.02
     failed(world.run(), ErrorCode.NO_PUSHES, "roll moved by", "admittance")
+
+
+def test_an_endless_joint_reported_within_one_turn_has_not_moved():
+    roll = dataclasses.replace(GALEN.joints[3], lower=-np.inf, upper=np.inf)
+    endless = dataclasses.replace(GALEN, joints=(*GALEN.joints[:3], roll, GALEN.joints[4]))
+    world = World(dataclasses.replace(SETTINGS, arm=endless))
+    step = world.arm.step
+
+    def wrapped():
+        stamp, position, *others = step()
+        turns = 2.0 * np.pi * (stamp // 10_000_000 % 2)
+        return stamp, position - turns * np.eye(5)[3], *others
+
+    world.arm.step = wrapped
+    assert ended(world.run(), ErrorCode.NONE).left_out == ()
 
 
 def test_stamps_that_jump_all_the_time_end_it_with_the_reason():

@@ -40,6 +40,11 @@ def test_columns_gears_and_senses(tmp_path):
     assert read.lag == pytest.approx(run.lag, abs=1e-8)
     assert read.torque == pytest.approx(run.torque)
     assert read.time_s == pytest.approx(1e-3 * run.time_s)
+    in_ms, header = replace(run, time_s=1e3 * run.time_s), "time [ms],motor,link [rad],tau [mNm]"
+    file = write_csv(tmp_path / "units.csv", in_ms, header)
+    read = read_joint_run(file, JointColumns(t="time", torque="tau"))
+    assert read.torque == pytest.approx(1e-3 * run.torque)
+    assert read.time_s == pytest.approx(run.time_s)
 
 
 def test_stamps_that_cannot_be_are_told_with_their_line(table, tmp_path):

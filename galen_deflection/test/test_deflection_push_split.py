@@ -93,6 +93,16 @@ def test_too_few_pushes_to_deal_are_rejected():
         push_splits(few)
 
 
+def test_nothing_is_not_joined(samples):
+    with pytest.raises(ValueError, match="no samples to join"):
+        joined([samples.rows(slice(0))] * 2)
+
+
+def test_visits_of_two_pushes_each_reach_all_folds_together():
+    twice = joined([visit(0, [8.0, -6.0], set_number=number, seed=7) for number in range(2)])
+    assert [split.check.any() for split in push_splits(twice)] == [True] * 4
+
+
 def test_a_segment_without_a_push_is_only_fitted_to(samples):
     quiet = visit(0, [8.0]).rows(slice(0, 25))
     with_quiet = joined([samples, quiet])

@@ -54,10 +54,10 @@ def sound(tmp_path_factory):
     return scene, recording, measure_deflection(recording)
 
 
-def tampered(tmp_path, tamper, scene=SHORT):
+def tampered(tmp_path, tamper, scene=SHORT, arm=GALEN):
     topics = scene.topics()
     tamper(topics)
-    return read_pushes(write(tmp_path / "bag", topics), TOOL, arm=GALEN)
+    return read_pushes(write(tmp_path / "bag", topics), TOOL, arm=arm)
 
 
 def said(recording, *words):
@@ -140,6 +140,18 @@ def test_a_position_visited_again_has_its_number_and_another_visit(tmp_path):
     assert keys.T.tolist() == [[0, 0, 0], [0, 1, 2], [1, 0, 1]]
     samples = measure_deflection(recording).samples
     assert np.array_equal(samples.set_number, recording.visit)
+
+
+def test_an_endless_joint_reported_within_one_turn_is_where_it_is(tmp_path):
+    def wrap(topics):
+        topics[JOINTS].values[::2, 3] -= 2.0 * np.pi
+
+    roll = replace(GALEN.joints[3], lower=-np.inf, upper=np.inf)
+    endless = replace(GALEN, joints=(*GALEN.joints[:3], roll, GALEN.joints[4]))
+    recording = tampered(tmp_path, wrap, arm=endless)
+    assert recording.problems == ()
+    assert recording.positions == pytest.approx(SHORT.positions)
+    assert recording.joints == pytest.approx(SHORT.joints_at(seconds(recording)), abs=1e-6)
 
 
 def test_the_simulated_cells_pushes_agree_with_nominal():

@@ -129,8 +129,7 @@ class _Pushing:
         joints = slice(self._joint_row, self._joint_row + len(is_wrench) - w)
         wrenches = slice(self._wrench_row, self._wrench_row + w)
         expected = self._sink.pairing.sensor_frame
-        # One more: a block in which no message is readable has no frame at all.
-        right = np.array([*(name == expected for name in self._wrenches.frame_ids), False])
+        right = np.array([name == expected for name in self._wrenches.frame_ids], dtype=bool)
         return Arrivals(
             is_wrench,
             self._joints.stamp_ns[joints],

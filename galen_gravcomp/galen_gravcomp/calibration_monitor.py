@@ -243,15 +243,16 @@ class CalibrationMonitor:
         self.setup.clear()
         self._forget()
 
-    def offset_changed(self, change: Array) -> None:
+    def offset_changed(self, change: Array, tare: Array) -> None:
         """Follow a tare, or the bias drift's switch.
 
         Args:
             change: (6,) what is subtracted from now on more than before, N and N.m.
+            tare: (6,) what the tare subtracts from now on, N and N.m.
 
         """
         self._windows.drop()
-        self.setup.offset_changed(change)
+        self.setup.offset_changed(change, tare)
         self._memory.shift(change)
         segments = list(self._memory.segments)
         if segments:

@@ -355,7 +355,7 @@ class Compensator:
 
     def _offset_changed(self, before: Array) -> None:
         if self.monitor is not None:
-            self.monitor.offset_changed(self._settled_offset - before)
+            self.monitor.offset_changed(self._settled_offset - before, self._ramp.target)
 
     def _end_tare(self, window: TareWindow, stamp_ns: int, angles: tuple[float, ...]) -> None:
         """Its offset holds what the bias drift subtracted: that goes as the tare comes."""

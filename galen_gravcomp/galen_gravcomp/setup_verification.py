@@ -11,7 +11,7 @@ either. It is verified once readings in three orientations fit.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from galen_model.arm.arm import Arm
@@ -77,23 +77,22 @@ class SetupVerification:
     def __init__(self, arm: Arm) -> None:
         self._arm = arm
         self._tool: CalibrationFile | None = None
-        self._offset = np.zeros(6)
         self._angles: tuple[float, ...] = ()
         self.clear()
 
     def set_tool(self, tool: CalibrationFile | None) -> None:
-        """Begin anew with another tool, and no tare.
+        """Begin anew with another tool.
 
         Args:
             tool: its calibration; None: nothing is checked.
 
         """
         self._tool = tool
-        self._offset = np.zeros(6)
         self.clear()
 
     def clear(self) -> None:
-        """Begin anew."""
+        """Begin anew, without a tare."""
+        self._tare: Array = np.zeros(6)
         self._segments: list[_Segment] = []
         self.contradiction = ""
         """What is wrong, and the remedy; empty where nothing is known to be."""
@@ -139,14 +138,17 @@ class SetupVerification:
         self._outputs: list[Array] = []
         self._from_ns = 0
 
-    def offset_changed(self, change: Array) -> None:
+    def offset_changed(self, change: Array, tare: Array) -> None:
         """Follow a tare, or the bias drift's switch.
 
         Args:
             change: (6,) what is subtracted from now on more than before, N and N.m.
+            tare: (6,) what the tare subtracts from now on, N and N.m.
 
         """
-        self._offset = self._offset + change
+        self._drop()
+        self._segments = [replace(one, output=one.output - change) for one in self._segments]
+        self._tare = tare
 
     @property
     def checks(self) -> bool:
@@ -201,7 +203,7 @@ class SetupVerification:
         assert self._tool is not None
         if all(one.within(one.output, _OFF) for one in self._segments):
             return ""
-        raw = [one.output + self._offset + one.expected for one in self._segments]
+        raw = [one.output + self._tare + one.expected for one in self._segments]
         angles = np.array([one.angles for one in self._segments])
         good: list[Corrected] = []
         for mistake in known_load_mistakes(at_angles(np.array(raw), angles, self._arm)):

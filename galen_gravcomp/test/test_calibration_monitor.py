@@ -123,7 +123,7 @@ def test_a_tare_moves_what_is_remembered():
     arm.offset = np.array([0.4, -0.3, 0.3, 0.004, 0.0, 0.002])
     arm.visit(6)
     assert watched.now is Cause.DRIFT
-    watched.watch.offset_changed(arm.offset)
+    watched.watch.offset_changed(arm.offset, arm.offset)
     arm.offset = np.zeros(6)
     arm.hold(0.4)  # no window's length: it is what was seen before, moved
     assert watched.now == FITS
@@ -138,7 +138,7 @@ def test_a_tare_in_the_first_stop_s_first_moments_is_no_end():
     arm.visit(2)
     arm.hold(1.6)
     assert [stop.windows for stop in watched.watch._memory.segments] == [1]
-    watched.watch.offset_changed(np.zeros(6))
+    watched.watch.offset_changed(np.zeros(6), np.zeros(6))
     arm.hold(2.0)
     assert watched.now == FITS
 
@@ -228,3 +228,31 @@ def test_evidence_is_the_density_of_the_stops():
     assert judgement.log_odds <= odds + 1e-6  # a file that fits may have touched stops instead
     touched = evidence.log_contact(stops).sum() - density[0]
     assert judgement.log_odds == pytest.approx(odds - max(touched, 0.0), abs=20.0)
+
+
+def test_a_wrong_set_up_is_found_with_a_tare_and_after_a_restart_without():
+    tool = tool_file()
+    compensator = Compensator(GravcompParameters(tare_window_s=0.3, tare_ramp_s=0.1), arm=GALEN)
+    compensator.set_tool(tool)
+
+    def take(stamp_ns, angles, left):
+        compensator.push_joints(stamp_ns, angles)
+        compensator.push_wrench(stamp_ns, -(left + tool.predict(angles)))
+
+    def found():
+        return "the reading is reversed" in compensator.monitor.setup.contradiction
+
+    arm = UntouchedArm(take, tool)
+    arm.hold(1.0)
+    assert found()
+    answers = []
+    compensator.start_tare(lambda answer, offset: answers.append(offset))
+    arm.hold(1.0)
+    assert answers[0] is not None
+    arm.move([1.2, 0.5])
+    arm.hold(1.0)
+    assert found()
+    compensator.pairing.restart("driver restarted")
+    assert not found()
+    arm.hold(1.0)
+    assert found()

@@ -102,6 +102,19 @@ def test_inertial_forces_are_subtracted_to_the_polynomials_bias(arm):
     assert np.max(np.sqrt(np.mean(np.square(out), axis=0)) / SENSOR.noise_std) < 1.7
 
 
+def test_an_endless_joint_s_inertial_forces_are_known_through_half_a_turn():
+    endless = replace(FLOOR.joints[5], lower=-np.inf, upper=np.inf)
+    arm = replace(FLOOR, joints=(*FLOOR.joints[:5], endless))
+    motion = swing(np.arange(0.0, 1.0, 0.002), arm=arm)
+    joints, wrench = motion[0], readings(motion, arm)
+    wrapped = joints.copy()
+    wrapped[joints[:, 5] > joints[:, 5].mean(), 5] -= 2.0 * np.pi
+    tool, moving = tool_file(arm=arm), {"motion": "joints", "calibration_monitor": False}
+    expected = outcomes(compensator(tool, **moving), joints, wrench)
+    found = outcomes(compensator(tool, **moving), wrapped, wrench)
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
 def test_a_cable_pulls_alike_one_by_one_and_in_arrays():
     rng = np.random.default_rng(3)
     joints = np.tile([0.3, -1.2, 1.4, -0.4, 0.9, 0.2], (30, 1))

@@ -110,6 +110,15 @@ def test_the_command_on_a_table(tmp_path, capsys):
     found = json.loads(capsys.readouterr().out)
     assert found["samples"] == 2000
     assert found["axes"]["fx"]["white_per_sqrt_hz"] == pytest.approx(0.01 / np.sqrt(10), rel=0.2)
+    parts = [str(tmp_path / name) for name in ("early.csv", "late.csv")]
+    for part, rows in zip(parts, np.split(columns + [1.7e9, 0, 0, 0, 0, 0, 0], 2), strict=True):
+        np.savetxt(part, rows, delimiter=",", header="t,fx,fy,fz,tx,ty,tz", comments="")
+    assert main([*parts, "--drift", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["duration_s"] == pytest.approx(200.0, abs=1.0)
+    assert main([*parts[::-1], "--drift"]) == 1
+    assert "the stamps jump back" in capsys.readouterr().err
+    assert main([str(table), "--drift", "--cell-s", "0.05"]) == 1
+    assert "2000 of 3999 cells of 0.05 s hold readings" in capsys.readouterr().err
     np.savetxt(table, reading, delimiter=",", header="fx,fy,fz,tx,ty,tz", comments="")
     assert main([str(table), "--drift"]) == 1
     assert "no column 't'" in capsys.readouterr().err

@@ -77,6 +77,10 @@ def test_a_column_of_temperatures_explains_the_drift_that_goes_with_it(tmp_path,
     path = write(tmp_path / "warm.csv", [*WRENCH, "roll", "tilt", "temperature_k"], rows)
     table = read_table(path, arm=GALEN)
     np.testing.assert_allclose(table.temperature_c, kelvin - 273.15)
+    for name, zero_k in (("temperature [K]", 0.0), ("temperature_k [C]", 273.15)):
+        rows[:, -1] = kelvin - zero_k
+        other = write(tmp_path / "other.csv", [*WRENCH, "roll", "tilt", name], rows)
+        np.testing.assert_allclose(read_table(other, arm=GALEN).temperature_c, kelvin - 273.15)
     result = evaluate_table(table)
     assert "temperature" in result.chosen.words
     assert result.fit.load.mass_kg == pytest.approx(LOAD.mass_kg, abs=0.01)

@@ -195,6 +195,10 @@ def test_an_endless_joint_is_nearest_by_whole_turns():
     arm = read_arm(one_joint("continuous"))
     near = arm.nearest([[3.1], [-3.1], [9.5]], [[-3.1], [3.1], [3.2]])
     np.testing.assert_allclose(near[:, 0] + [2 * np.pi, -2 * np.pi, 2 * np.pi], [3.1, -3.1, 9.5])
+    assert arm.nearest([7.0], [np.nan]) == [7.0]
+    wrapped = np.array([[3.1], [np.nan], [-3.1], [-3.0], [3.1]])
+    true = [3.1, np.nan, 2 * np.pi - 3.1, 2 * np.pi - 3.0, 3.1]
+    np.testing.assert_allclose(arm.unwrapped(wrapped)[:, 0], true)
     assert read_arm(one_joint()).nearest([7.0], [0.0]) == [7.0]
 
 

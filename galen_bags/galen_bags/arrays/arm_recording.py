@@ -459,8 +459,8 @@ class ArmReader:
         for block in self._inside_window():
             joint_rows = np.flatnonzero(block.topic == 0)
             wrench_rows = np.flatnonzero(block.topic == 1)
-            joints = self._stamped(self._joints, block, joint_rows)
-            wrenches = self._stamped(self._wrenches, block, wrench_rows)
+            joints = self.stamped(self._joints, block, joint_rows)
+            wrenches = self.stamped(self._wrenches, block, wrench_rows)
             if into_sensor is not None:
                 wrenches = into_sensor(wrenches)
             yield ArmBlock(
@@ -472,7 +472,18 @@ class ArmReader:
                 block,
             )
 
-    def _stamped(self, decoder: Decoder, block: Messages, rows: np.ndarray) -> Samples:
+    def stamped(self, decoder: Decoder, block: Messages, rows: np.ndarray) -> Samples:
+        """Decode rows of a block, with log times for stamps where these are asked for.
+
+        Args:
+            decoder: of the rows' type.
+            block: messages of `read_topics`.
+            rows: which of them.
+
+        Returns:
+            The samples.
+
+        """
         samples = decoder.decode(block, rows)
         return replace(samples, stamp_ns=block.log_time_ns[rows]) if self._log_times else samples
 
@@ -480,7 +491,7 @@ class ArmReader:
         """Read all joint states, and return what turns wrenches out of the base's axes."""
         count = len(self._arm.joints)
         parts = [
-            self._stamped(self._joints, block, np.arange(len(block.topic)))
+            self.stamped(self._joints, block, np.arange(len(block.topic)))
             for block in self.bag.blocks([self.joint_states])
         ]
         joints = join_samples(parts, 2 * count)
@@ -617,7 +628,8 @@ def read_arm(
         warm, blocks, decoder = [], [], Decoder(TEMPERATURE_TYPE)
         for block in progress(reader.blocks()):
             blocks.append(replace(block, messages=_NO_MESSAGES))
-            warm.append(decoder.decode(block.messages, np.flatnonzero(block.messages.topic == 2)))
+            rows = np.flatnonzero(block.messages.topic == 2)
+            warm.append(reader.stamped(decoder, block.messages, rows))
         problems = bag.problems
     count = len(arm.joints)
     joints = join_samples([block.joints for block in blocks], 2 * count)

@@ -88,7 +88,7 @@ def read_joint_run(file: str | os.PathLike[str], columns: JointColumns) -> Joint
 
     """
     wanted = [columns.motor, columns.link, columns.torque, columns.t]
-    table = read_text_table(file, wanted)
+    table = read_text_table(file, wanted, units_as={columns.t: "t", columns.torque: "tx"})
     motor, link, torque = (table.require(name) for name in wanted[:3])
     if len(motor) < _FEWEST_READINGS:
         raise GalenError(f"{table.path}: {len(motor)} readings; a run needs {_FEWEST_READINGS}")

@@ -25,7 +25,7 @@ from __future__ import annotations
 import os
 import re
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -82,6 +82,7 @@ def read_text_table(
     columns: Sequence[str] | None = None,
     *,
     leave_out: bool = False,
+    units_as: Mapping[str, str] | None = None,
 ) -> TextTable:
     """Read a table.
 
@@ -91,6 +92,7 @@ def read_text_table(
         columns: names of the columns of a file without a first line of names, "-" for one to skip;
             None: the file names them.
         leave_out: leave out, and count, rows that lack a number.
+        units_as: columns whose names don't give their units, and the usual name that does.
 
     Returns:
         All cells as texts, and the numbers (n,) of the columns in `known`; those whose header has a
@@ -102,7 +104,7 @@ def read_text_table(
     """
     path = Path(path)
     headers, rows, lines = _rows(path, columns)
-    named = [_name_and_scale(path, header, known) for header in headers]
+    named = [_name_and_scale(path, header, known, units_as or {}) for header in headers]
     names = [name for name, _ in named]
     doubles = sorted(name for name, count in Counter(names).items() if count > 1 and name != "-")
     if doubles:
@@ -152,7 +154,9 @@ def _units_of(name: str) -> dict[str, float]:
 _ALSO_CALLED = {"time": "t", "mx": "tx", "my": "ty", "mz": "tz"}
 
 
-def _name_and_scale(path: Path, header: str, known: Collection[str]) -> tuple[str, float]:
+def _name_and_scale(
+    path: Path, header: str, known: Collection[str], units_as: Mapping[str, str]
+) -> tuple[str, float]:
     """Return a header's column name, and what makes its numbers SI; raises GalenError."""
     if header in known:
         return header, 1.0
@@ -162,11 +166,13 @@ def _name_and_scale(path: Path, header: str, known: Collection[str]) -> tuple[st
     name = next((one for one in (name, lower, _ALSO_CALLED.get(lower, "")) if one in known), header)
     if name not in known or not unit:
         return name, 1.0
-    units = _units_of(name)
+    units = _units_of(units_as.get(name, name))
     if unit.lower() not in units:
         raise GalenError(
             f"{path}: column {header!r} has the unit {unit!r}; expected {' or '.join(units)}"
         )
+    if name in TEMPERATURES:  # its name makes it deg C
+        name = "temperature_k" if unit.lower() == "k" else "temperature_c"
     return name, units[unit.lower()]
 
 

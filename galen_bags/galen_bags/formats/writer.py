@@ -198,7 +198,7 @@ class GrowingBagWriter(BagWriter):
             return
         try:
             self._writer.close()
-        except OSError as problem:
+        except (OSError, WriterError) as problem:
             raise self._broken_off(problem) from problem
         self._flushed_bytes = self._file.stat().st_size
         self._writer = None
@@ -228,7 +228,7 @@ class GrowingBagWriter(BagWriter):
         assert self._writer is not None
         try:
             self._writer.write(topic, log_time_ns, data)
-        except OSError as error:
+        except (OSError, WriterError, OverflowError) as error:
             raise self._broken_off(error) from error
 
     def flush(self) -> None:
@@ -254,11 +254,10 @@ class GrowingBagWriter(BagWriter):
     def _file(self) -> Path:
         return self.path / f"{self.path.name}.mcap"
 
-    def _broken_off(self, error: OSError) -> BagError:
+    def _broken_off(self, error: Exception) -> BagError:
         self._give_up()
-        return BagError(
-            f"{self.path}: can't be written any more: {error.strerror}; what it holds can be read"
-        )
+        why = error.strerror if isinstance(error, OSError) else error
+        return BagError(f"{self.path}: can't be written any more: {why}; what it holds can be read")
 
     def _give_up(self) -> None:
         """Close the file and cut the part of a record at its end."""

@@ -159,7 +159,7 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
         default=0.0,
         metavar="S",
         help="wait up to S s until every topic has a subscriber; without it, play starts when no"
-        " new subscriber was found for 0.5 s",
+        " new subscriber was found for 1 s",
     )
     add_json(parser)
     return parser.parse_args(arguments)

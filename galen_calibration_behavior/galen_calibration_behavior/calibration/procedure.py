@@ -55,7 +55,7 @@ class CalibrationRequest:
     poses None: they are planned from where the arm stands, for a tool with its tip at tip_m (3,).
     `router` knows the free ways, None: all are free. zero: whether the sensor can be
     zeroed; else what it reads where it stands goes into the constant offsets. warnings: to be told
-    before the arm moves.
+    before the arm moves, and in the result.
     """
 
     tool: str
@@ -221,7 +221,7 @@ class CalibrationProcedure(PoseProcedure):
             self._report(f"{WARNING}{warning}")
 
     def _warnings(self) -> list[str]:
-        return [*super()._warnings(), *self._plan_warnings]
+        return [*self._request.warnings, *self._plan_warnings, *super()._warnings()]
 
     def _next(self) -> None:
         self._state = next(self._plan)

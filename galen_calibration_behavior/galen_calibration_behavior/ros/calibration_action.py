@@ -68,9 +68,8 @@ class _Calibrating(RunningGoal):
         procedure: CalibrationProcedure,
         path: Path,
         tip_m: Array,
-        warnings: list[str],
     ) -> None:
-        super().__init__(action, handle, procedure, warnings)
+        super().__init__(action, handle, procedure)
         self.path = path
         self.tip_m = tip_m
         self.calibration: Calibration | None = None
@@ -203,7 +202,7 @@ class CalibrateAction(ArmAction):
                 warnings=(*warnings, *(() if plan is None else plan.warnings)),
             ),
         )
-        return _Calibrating(self, handle, procedure, path, tip_m, warnings)
+        return _Calibrating(self, handle, procedure, path, tip_m)
 
     def introduce(self, goal: _Calibrating) -> str:
         """Describe in the log what begins.
@@ -363,7 +362,7 @@ class CalibrateAction(ArmAction):
                     goal.handle.request.tool,
                     goal.tip_m,
                     measurements,
-                    goal.warnings,
+                    [],
                     mounting=MountingRequest(groups) if groups else None,
                     check_setup=self.node.settings.check_setup,
                     progress=go_on,

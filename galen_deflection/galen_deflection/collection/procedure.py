@@ -451,7 +451,7 @@ class CollectionProcedure(GoalProcedure):
 
     def _check_position(self, position: Array) -> None:
         assert self._here is not None
-        off = position - self._here.joints
+        off = self._arm.nearest(position, self._here.joints) - self._here.joints
         away = np.abs(off) > self._settings.arrival.position_tolerance
         if np.any(away):
             k = int(np.argmax(away))

@@ -161,9 +161,8 @@ class NoContactWatch:
         if phase[1] < time_ns[-1]:
             at_s = (phase[1] - time_ns[0]) / NS
             return f"the tool is in contact: the wrench changes after {at_s:.1f} s"
-        self.result = NoContact(
-            np.mean(self._joints, axis=0), offset, self.tool.mean(), self.base.mean()
-        )
+        joints = settings.arm.nearest(self._joints, self._joints[0])
+        self.result = NoContact(joints.mean(axis=0), offset, self.tool.mean(), self.base.mean())
         return ""
 
 

@@ -65,11 +65,12 @@ def find_stays(line: Timeline, joints: Array, arm: Arm) -> tuple[list[Stay], Arr
 
     Args:
         line: the joint samples' times.
-        joints: (n, j) of the line's samples, m and rad.
+        joints: (n, j) of the line's samples, m and rad, unwrapped.
         arm: the arm whose joints they are.
 
     Returns:
-        Stays; joints (p, j) by the positions' numbers, m and rad, of the first stay there.
+        Stays; joints (p, j) by the positions' numbers, m and rad, of the first stay there, the
+        endless ones within half a turn of home.
 
     """
     same = same_position(arm)
@@ -77,8 +78,12 @@ def find_stays(line: Timeline, joints: Array, arm: Arm) -> tuple[list[Stay], Arr
     visits: list[int] = []
     stays: list[Stay] = []
     for rows in rest_by_joints(line.time_ns, joints, arm=arm):
-        here = np.nanmedian(joints[rows], axis=0)
-        near = [k for k, p in enumerate(positions) if np.all(np.abs(p - here) <= same)]
+        here = arm.nearest(np.nanmedian(joints[rows], axis=0), arm.home)
+        near = [
+            k
+            for k, p in enumerate(positions)
+            if np.all(np.abs(arm.nearest(p, here) - here) <= same)
+        ]
         if near:
             position = near[0]
         else:
@@ -201,7 +206,8 @@ _CABLE_ROWS = 2048
 class ArmTrack:
     """joints (n, j) m and rad, wrenches (m, 6) compensated, N and N.m, with their lines of time.
 
-    start_ns: the first stamp; problems: sentences, with times in s after it.
+    Endless joints are unwrapped. start_ns: the first stamp; problems: sentences, with times in s
+    after it.
     """
 
     joint_line: Timeline
@@ -260,7 +266,7 @@ def read_arm_track(
     wrench_line = lay_out(
         readings.stamp_ns, np.concatenate([block.wrench_log_ns for block in blocks]), jump_s
     )
-    positions = joints.values[joint_line.row, : len(arm.joints)]
+    positions = arm.unwrapped(joints.values[joint_line.row, : len(arm.joints)])
     lacking = [
         name
         for name, k in zip(arm.joint_names, positions.T, strict=True)

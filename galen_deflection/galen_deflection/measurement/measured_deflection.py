@@ -173,7 +173,8 @@ def join_recordings(recordings: Sequence[Recording]) -> DeflectionSamples:
 
     """
     first = recordings[0]
-    same = same_position(first.samples.arm)
+    arm = first.samples.arm
+    same = same_position(arm)
     known: list[Array] = []
     parts = []
     for recording in recordings:
@@ -181,7 +182,7 @@ def join_recordings(recordings: Sequence[Recording]) -> DeflectionSamples:
         number = np.empty(len(recording.positions), dtype=int)
         taken: set[int] = set()
         for own, joints in enumerate(recording.positions):
-            away = [float(np.max(np.abs(joints - k) / same)) for k in known]
+            away = [float(np.max(np.abs(arm.nearest(joints, k) - k) / same)) for k in known]
             near = [k for k, far in enumerate(away) if far <= 1.0 and k not in taken]
             if near:
                 number[own] = min(near, key=away.__getitem__)

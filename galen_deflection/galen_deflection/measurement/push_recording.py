@@ -192,6 +192,7 @@ def _assembled(
 
     phases = _phases_of_visits(arm, stays, problems)
     at_ns, stay = at_ns[keep], stay[keep]
+    position = np.array([s.position for s in stays])[stay]
     stand = _stand_of(at_ns, stands)
     segment = _segments(track.line.kept(keep), stay, stand)
     untouched = _inside(at_ns, phases) >= 0
@@ -205,10 +206,10 @@ def _assembled(
         arm=robot,
         stamp_ns=track.line.stamp_ns[keep],
         segment=segment,
-        position=np.array([s.position for s in stays])[stay],
+        position=position,
         visit=np.array([s.visit for s in stays])[stay],
         stand=stand,
-        joints=joints[keep],
+        joints=robot.nearest(joints[keep], positions[position]),
         wrench=wrench[keep],
         marker=base_in_tracker.inverse() @ track.poses[keep],
         untouched=untouched,

@@ -124,16 +124,16 @@ def joined(parts: Sequence[DeflectionSamples]) -> DeflectionSamples:
     the same place.
 
     Args:
-        parts: samples of one arm, in the order wanted; one at least is not empty.
+        parts: samples of one arm, in the order wanted.
 
     Returns:
         All samples.
 
     Raises:
-        ValueError: the tips differ, or there are no parts.
+        ValueError: the tips differ, or there are no samples.
 
     """
-    if not parts:
+    if not any(map(len, parts)):
         raise ValueError("no samples to join")
     for part in parts[1:]:
         if not np.allclose(part.tip_m, parts[0].tip_m, atol=1e-9):

@@ -90,7 +90,8 @@ class FitSettings:
 
     use (n,) bool, or None for all: the samples whose measured deflection a fit may look at. The
     loads of the others still count for what the arm remembers, as they would live. seed,
-    iterations: of a network's training. on_progress(done, total, what): called now and then.
+    iterations (1 or more): of a network's training. on_progress(done, total, what): called now and
+    then.
     """
 
     use: np.ndarray | None = None

@@ -185,6 +185,7 @@ class BagRecording:
         self._jobs.put((lambda: self._change(new), done))
         while not done.done():
             if not self._thread.is_alive():
+                new.__exit__(None, None, None)
                 raise BagError(self._error)
             self._thread.join(timeout=0.005)
         done.result()

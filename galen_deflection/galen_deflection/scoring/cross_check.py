@@ -10,7 +10,8 @@ Where every position was visited once, pushes are dealt out instead, never sampl
 apart are the same load. A push takes all until the next one begins with it, since the residual
 after it is what a model of hysteresis is asked for. Dealt are push 0 to the first fold, 1 to the
 second and so on, one further at each set: a script goes axis by axis, and of runs of neighbouring
-pushes all along one axis would be missed at once.
+pushes all along one axis would be missed at once. Sets of fewer pushes than folds are dealt out one
+after the other.
 """
 
 from __future__ import annotations
@@ -161,19 +162,23 @@ def push_splits(samples: DeflectionSamples, folds: int = PUSH_FOLDS) -> list[Spl
     """
     places = [(p, number) for p, numbers in sets_of(samples).items() for number in numbers]
     fold = np.full(len(samples), -1)
-    done = dict.fromkeys(places, 0)
     starts = [push.rows.start for push in find_pushes(samples, tip_wrench(samples))]
-    for start, following in zip(starts, [*starts[1:], len(samples)], strict=True):
+    place_of = [(int(samples.position[start]), int(samples.set_number[start])) for start in starts]
+    first, next_fold = 0, {}
+    for place in places:
+        next_fold[place] = first
+        count = place_of.count(place)
+        first += count if count < folds else 1
+    for start, following, place in zip(starts, [*starts[1:], len(samples)], place_of, strict=True):
         segment = samples.segment == samples.segment[start]
-        place = (int(samples.position[start]), int(samples.set_number[start]))
         block = np.zeros(len(samples), dtype=bool)
         block[start:following] = True
         # The first push of a segment has what is before it.
         block[:start] |= fold[:start] < 0
-        fold[block & segment] = (done[place] + places.index(place)) % folds
-        done[place] += 1
+        fold[block & segment] = next_fold[place] % folds
+        next_fold[place] += 1
     for position in {position for position, _ in places}:
-        found = sum(count for place, count in done.items() if place[0] == position)
+        found = sum(place[0] == position for place in place_of)
         if len(set(fold[samples.position == position].tolist()) - {-1}) < folds:
             raise SplitError(
                 f"position {position} has {found} pushes with a pause before and after: too few to"

@@ -418,7 +418,8 @@ def estimate(comparison: Comparison, form: str | None = None) -> JointParameters
 
     Args:
         comparison: runs, parts and common terms.
-        form: one of FORMS; None: the one that hold-outs choose among all parts.
+        form: one of FORMS, COMMON_TERMS only where there are some; None: the one that hold-outs
+            choose among all parts.
 
     Returns:
         Estimates by the names of UNITS, with standard deviations of the bootstrap.

@@ -373,8 +373,7 @@ class _Arm:
                 f" {', '.join(robot.joint_names)}"
             )
         joint_ns, joints = self._usable("joint states", arm.joint_stamp_ns, arm.joints)
-        # Some drivers report a joint without limits within one turn.
-        joints[:, robot.endless] = np.unwrap(joints[:, robot.endless], axis=0)
+        joints = robot.unwrapped(joints)
         wrench_ns, wrenches = self._usable("wrenches", arm.wrench_stamp_ns, arm.wrenches)
         known = _within_reach(wrench_ns, joint_ns)
         if not known.all():

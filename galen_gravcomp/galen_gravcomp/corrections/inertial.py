@@ -365,7 +365,10 @@ class JointMotion(InertialForces):
             joints: (n,) in the arm's order, m and rad.
 
         """
-        last, self._last = self._last, (stamp_ns, joints)
+        last = self._last
+        if last is not None and self._arm.endless.any():
+            joints = tuple(self._arm.nearest(joints, last[1]).tolist())
+        self._last = stamp_ns, joints
         if last is not None and self._jumps(stamp_ns - last[0], last[1], joints):
             joints = (math.nan,) * len(joints)
         self._window.push(stamp_ns, joints)
@@ -416,15 +419,14 @@ class JointMotion(InertialForces):
 class ImuMotion(InertialForces):
     """From an IMU at r in ft_sensor, turned by R into it.
 
-    It reads specific force u = R^T (a_imu - g) + b and angular velocity, with g gravity. The
-    sensor's origin accelerates with
+    It reads specific force u = s R^T (a_imu - g) + b and angular velocity, with g gravity and s a
+    scale. The sensor's origin accelerates with
 
-        a = R (u - b) + g - al x r - w x (w x r),
+        a = R (u - b) / s + g - al x r - w x (w x r),
 
     al from the gyroscope by a local polynomial, g from the angles. Unlike joints it feels what
     the arm does between its encoders and the tool, and at once; but where R or b are wrong by e, it
-    adds m e also at rest. `galen_model.load.inertia` finds R, scale and b from still
-    poses.
+    adds m e also at rest. `galen_model.load.inertia` finds R, s and b from still poses.
     """
 
     needs_imu = True

@@ -29,6 +29,7 @@ import scipy  # its parts are loaded when they are used
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_ppf
+from galen_model.errors import GalenError
 from galen_model.evidence.verdict import Limits
 from rich.table import Table
 
@@ -69,6 +70,9 @@ def allan_deviation(cells: Array, cell_s: float) -> Allan:
     Returns:
         Deviation with its 95 % band and fitted coefficients.
 
+    Raises:
+        GalenError: at no averaging time there are neighbouring means.
+
     """
     there = np.isfinite(cells)
     total = np.concatenate([[0.0], np.cumsum(np.where(there, cells - np.nanmean(cells), 0.0))])
@@ -86,6 +90,11 @@ def allan_deviation(cells: Array, cell_s: float) -> Allan:
         half = float(np.mean((mean[m:] - mean[:-m])[pairs] ** 2) / 2.0)
         white = float(np.mean(1.0 / used[m:][pairs] + 1.0 / used[:-m][pairs]) / 2.0)
         rows.append((int(m), half, int(pairs.sum()) + 2 * int(m) - 1, white / cell_s))
+    if not rows:
+        raise GalenError(
+            f"{there.sum()} of {len(cells)} cells of {cell_s:g} s hold readings, and too few of"
+            " them are neighbours: give a larger --cell-s"
+        )
     factor, variance, cells_used, white_part = np.array(rows).T
     tau = factor * cell_s
     deviation = np.sqrt(variance)

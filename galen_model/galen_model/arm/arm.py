@@ -311,7 +311,7 @@ class Arm:
             to: values of the same kind, which broadcast.
 
         Returns:
-            Joints or angles as given, the endless ones moved.
+            Joints or angles as given, the endless ones moved; not where `to` is NaN.
 
         """
         q = np.asarray(joints, dtype=float)
@@ -321,7 +321,23 @@ class Arm:
         if q.shape[-1] != len(endless):
             endless = endless[list(self.turning)]
         turns = np.round((q - np.asarray(to, dtype=float)) / (2.0 * np.pi))
-        return np.where(endless, q - 2.0 * np.pi * turns, q)
+        return np.where(endless, q - 2.0 * np.pi * np.nan_to_num(turns), q)
+
+    def unwrapped(self, joints: Array) -> Array:
+        """Undo jumps of endless joints by whole turns, as of drivers that report one turn.
+
+        Args:
+            joints: (m, n) in the order of their times, m and rad; NaN stays.
+
+        Returns:
+            Joints (m, n), the endless ones without jumps.
+
+        """
+        found = joints.copy()
+        for k in np.flatnonzero(self.endless):
+            known = np.isfinite(found[:, k])
+            found[known, k] = np.unwrap(found[known, k])
+        return found
 
     @cached_property
     def home_angles(self) -> Array:
