@@ -44,7 +44,7 @@ def is_name(text: str) -> bool:
     return 1 <= len(text) <= 64 and set(text) <= ALLOWED
 
 
-@settings(max_examples=300, deadline=None, derandomize=True, database=None)
+@settings(max_examples=100, deadline=None, derandomize=True, database=None)
 @given(NAMES)
 @example("a\n")
 @example("pointer\0")
@@ -84,7 +84,7 @@ def test_no_request_with_a_strange_name_changes_anything(tmp_path: Path) -> None
         (RevertTool.Response, store.revert),
     ]
 
-    @settings(max_examples=150, deadline=None, derandomize=True, database=None)
+    @settings(max_examples=60, deadline=None, derandomize=True, database=None)
     @given(NAMES.filter(lambda name: not is_name(name)))
     def rejected(name: str) -> None:
         for response, call in calls:

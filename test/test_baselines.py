@@ -433,7 +433,9 @@ GROUPS = {
 }
 
 
-SLOW = ("cable", "deflection", "tables", "retractor", "retractor, sensor rotation estimated")
+SLOW = (
+    "cable", "deflection", "tables", "pointer", "retractor", "retractor, sensor rotation estimated",
+)  # fmt: skip
 """Groups, and entries of a group."""
 
 

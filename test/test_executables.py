@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
-from galen_bringup.processes import ros_arguments
+from galen_bringup.processes import QUICK, ros_arguments
 from galen_ros.node.spin import DomainLock
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -88,15 +88,23 @@ def workspace(tmp_path_factory):
 BUILDS = ["make", pytest.param("colcon", marks=[pytest.mark.slow, pytest.mark.timeout(1500)])]
 
 
+def of_shell(variables):
+    """Without what tells NiceGUI to wait for a test of its own."""
+    return {name: text for name, text in variables.items() if name != "PYTEST_CURRENT_TEST"}
+
+
+@pytest.fixture
+def colcon_env(workspace):
+    """The environment of a shell in which colcon's install was sourced."""
+    return of_shell(workspace.sourced("install/setup.bash"))
+
+
 @pytest.fixture(params=BUILDS)
 def env(request):
     """The environment of a shell in which a build's install was sourced."""
     if request.param == "make":
-        found = dict(os.environ)
-    else:
-        found = request.getfixturevalue("workspace").sourced("install/setup.bash")
-    found.pop("PYTEST_CURRENT_TEST", None)  # with it NiceGUI waits for a test of its own
-    return found
+        return of_shell(os.environ)
+    return request.getfixturevalue("colcon_env")
 
 
 ALL_HELPS = """
@@ -203,11 +211,13 @@ def folder(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1500)
 @pytest.mark.parametrize(
     ("package", "name", "arguments", "is_right"), COMMANDS, ids=[" ".join(c[:2]) for c in COMMANDS]
 )
-def test_a_command_takes_a_small_input(env, folder, package, name, arguments, is_right):
-    done = run(env, script(env, package, name), *arguments, cwd=folder)
+def test_a_command_takes_a_small_input(colcon_env, folder, package, name, arguments, is_right):
+    """As colcon installs it; `make` installs links to what other tests import."""
+    done = run(colcon_env, script(colcon_env, package, name), *arguments, cwd=folder)
     assert "Traceback" not in done.stderr, done.stderr
     # `evaluate` ends with 1 where a tool's file does not fit a recording well.
     assert done.returncode in ((0, 1) if name == "evaluate" else (0,)), done.stderr
@@ -222,17 +232,19 @@ def ends(process):
 
 @pytest.mark.slow
 @pytest.mark.timeout(1500)
-def test_nodes_serve_actions(env, folder):
+def test_nodes_serve_actions(colcon_env, folder):
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     tools = {"tools_dir": folder / "tools"}
-    quick = {"settle_s": 0.05, "velocity_window_s": 0.06}
+    # A machine with other work is no fault.
+    quick = {**QUICK, "use_sim_time": False, "silent_timeout_s": 30.0}
+    collecting = {"recordings_dir": folder / "recordings", "silent_timeout_s": 30.0}
     arguments = {
         "sim_driver_node": [],
         "gravcomp_node": ros_arguments({**tools, "tool": "retractor"}),
         "calibration_node": ros_arguments({**tools, **quick}),
-        "collection_node": ros_arguments({**tools, "recordings_dir": folder / "recordings"}),
+        "collection_node": ros_arguments({**tools, **collecting}),
         "deflection_node": ros_arguments({"model_file": folder / "model.json"}),
         "panel": ["--port", str(port), "--tools-dir", "tools", "--output-dir", "answers"],
         "record": ["-o", "recorded"],
@@ -240,7 +252,7 @@ def test_nodes_serve_actions(env, folder):
     with ExitStack() as stack:
         lock = DomainLock()
         stack.callback(lock.release)
-        env = {**env, "ROS_DOMAIN_ID": str(lock.domain_id)}
+        env = {**colcon_env, "ROS_DOMAIN_ID": str(lock.domain_id)}
         running = {}
 
         def start(*nodes):
@@ -257,22 +269,9 @@ def test_nodes_serve_actions(env, folder):
             return done.stdout
 
         start(*NODES[:2])
-        fewer = [
-            "--tip",
-            "0.18",
-            "0.01",
-            "0.05",
-            "--one-sweep",
-            "--iters-t",
-            "3",
-            "--iters-r",
-            "4",
-            "--timeout-s",
-            "60",
-        ]
-        calibrated = client(
-            "galen_calibration_behavior", "calibrate", "retractor", "--json", *fewer
-        )
+        fewer = ["--tip", "0.18", "0.01", "0.05", "--one-sweep", "--iters-t", "3", "--iters-r", "4"]
+        calibrate = ["calibrate", "retractor", "--json", "--timeout-s", "60", *fewer]
+        calibrated = client("galen_calibration_behavior", *calibrate)
         assert json.loads(calibrated)["file"] == str(folder / "tools" / "retractor.json")
         client("galen_calibration_behavior", "check", "retractor", "--json")
         model = ["--kind", "joint_stiffness", "-o", "model.json"]
@@ -285,7 +284,8 @@ def test_nodes_serve_actions(env, folder):
         assert json.loads(client("galen_bringup", "preflight", *listen, codes=(0, 1)))
         here = ["--positions", "0", "0", "0.408", "0", "0", "--sets", "1", "--forces-n", "8"]
         collect = ["pushes", "--tool", "retractor", "--by-service", "--json", *here]
-        assert json.loads(client("galen_deflection", "collect", *collect))["pushes"] == 6
+        pushed = json.loads(client("galen_deflection", "collect", *collect))
+        assert (pushed["error_code"], pushed["pushes"]) == (0, 6)
         with urllib.request.urlopen(f"http://127.0.0.1:{port}/") as page:
             assert b"Galen" in page.read()
 

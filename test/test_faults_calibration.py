@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
 from fault_world import PATIENCE_S, TIP_M, FaultWorld
+from galen_bringup.processes import QUICK
 from galen_model.arm.galen import GALEN
 from galen_model.files.calibration_file import read_calibration
 from galen_model.load.model import TOOLS
@@ -22,16 +23,6 @@ from galen_msgs.action import CalibrateTool, CheckTool
 
 pytestmark = [pytest.mark.soak, pytest.mark.timeout(1800)]
 STATES = ("HOME", "REMOVE_TOOL", "ZERO", "SWEEP_BARE", "ATTACH_TOOL", "SWEEP_TOOL", "ESTIMATE")
-QUICK = {
-    "settle_s": 0.05,
-    "velocity_window_s": 0.06,
-    "max_angle_velocity_rad_s": 1.4,
-    "max_angle_acceleration_rad_s2": 5.5,
-    "max_delta_velocity_m_s": 0.15,
-    "max_delta_acceleration_m_s2": 0.9,
-    "itersT": 3,
-    "itersR": 3,
-}
 
 
 class Client(Node):
@@ -55,7 +46,7 @@ def world(tmp_path_factory):
             ["-m", "galen_sim_driver.ros.node"],
             {"speed_factor": 4.0, "seed": 3},
         )
-        parameters = {"tools_dir": folder, "use_sim_time": True} | QUICK
+        parameters = {"tools_dir": folder, "itersT": 3, "itersR": 3} | QUICK
         world.start("calibration", ["-m", "galen_calibration_behavior.ros.node"], parameters)
         world.client = world.harness.add(lambda context: Client(context=context))
         world.wait_for(world.client.calibrate.server_is_ready, "the action server")

@@ -97,8 +97,8 @@ def check_kills(counts: dict, kills: int) -> None:
     assert counts["old"] > 0  # it was hit at work
 
 
-def test_thirty_kills_leave_the_old_file_or_the_new_one(tmp_path: Path) -> None:
-    check_kills(killed(tmp_path, 30, seed=1), 30)
+def test_fifteen_kills_leave_the_old_file_or_the_new_one(tmp_path: Path) -> None:
+    check_kills(killed(tmp_path, 15, seed=1), 15)
     assert CalibrationStore(tmp_path, arm=GALEN).names() == [
         "pointer"
     ]  # what is left of a killed writer is hidden

@@ -51,7 +51,10 @@ def test_every_command_imports_without_ros():
     "arguments",
     [
         ("evaluate", "bags/free_motion", "--tool", "bags/tools/retractor.json", "--json"),
-        ("calibrate_from_bag", "pointer", "bags/pointer_calibration", "--dry-run", "--json"),
+        pytest.param(
+            ("calibrate_from_bag", "pointer", "bags/pointer_calibration", "--dry-run", "--json"),
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_a_recording_is_read_without_ros(arguments):

@@ -32,7 +32,7 @@ _PATIENCE_S = 5.0
 AVERAGE_S = 0.25
 """Length of an averaged reading outside the calibration, s of simulated time."""
 
-_CALIBRATION = {
+QUICK = {
     "settle_s": 0.05,
     "velocity_window_s": 0.06,
     "max_angle_velocity_rad_s": 1.4,
@@ -245,7 +245,7 @@ def start_suite(processes: Processes, tools_dir: Path, speed: float, seed: int) 
     processes.start(
         "galen_calibration_behavior",
         "calibration_node",
-        ros_arguments({"tools_dir": tools_dir, **_CALIBRATION}),
+        ros_arguments({"tools_dir": tools_dir, **QUICK}),
     )
     with connected_arm(processes):
         pass  # entering waits until the nodes are up

@@ -2,6 +2,7 @@
 """`preflight`: each fault of a robot is found and named, and a healthy robot passes."""
 
 import argparse
+import functools
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -41,18 +42,24 @@ START_NS, STEP_NS = 1_700_000_000_000_000_000, 5_000_000
 Edit = Callable[[JointState, WrenchStamped], object]
 
 
-def sample(k: int, now_ns: int, swing: float = 1.0, mass_kg: float = 0.5) -> tuple[Any, Any]:
-    """The k-th pair of messages of a healthy robot that swings its tool."""
-    rng = np.random.default_rng(k)
-    joints = JointState(name=list(ARM.joint_names))
+@functools.cache
+def reading(k: int, swing: float, mass_kg: float) -> tuple[np.ndarray, np.ndarray]:
+    """The k-th joints (6,) and wrench (6,) of a healthy robot that swings its tool."""
     position = 0.3 + swing * np.sin(k / 60.0 + np.arange(6))
-    joints.position = position.tolist()
-    wrench = WrenchStamped()
-    wrench.header.frame_id = "ft_sensor"
     load = gravity_wrench(
         ARM.gravity_in_sensor(position), Load(mass_kg, np.array([0.0, 0.01, 0.05]))
     )
-    fill_wrench(wrench, load + rng.normal(0.0, 1.0, 6) * [0.02, 0.02, 0.02, 5e-4, 5e-4, 5e-4])
+    noise = np.random.default_rng(k).normal(0.0, 1.0, 6)
+    return position, load + noise * [0.02, 0.02, 0.02, 5e-4, 5e-4, 5e-4]
+
+
+def sample(k: int, now_ns: int, swing: float = 1.0, mass_kg: float = 0.5) -> tuple[Any, Any]:
+    """Its k-th pair of messages."""
+    position, numbers = reading(k, swing, mass_kg)
+    joints = JointState(name=list(ARM.joint_names), position=position.tolist())
+    wrench = WrenchStamped()
+    wrench.header.frame_id = "ft_sensor"
+    fill_wrench(wrench, numbers)
     for message in (joints, wrench):
         fill_stamp(message.header.stamp, now_ns)
     return joints, wrench

@@ -103,8 +103,7 @@ class Operator:
         self.joints = self.samples[int(np.argmax(near))]
 
 
-@pytest.mark.parametrize("one_sweep", [False, True])
-@pytest.mark.parametrize("zero", [False, True])
+@pytest.mark.parametrize(("one_sweep", "zero"), [(False, False), (True, True)])
 def test_finishes_at_the_wanted_precision_and_commands_no_motion(tmp_path, one_sweep, zero):
     operator = Operator(one_sweep=one_sweep, zero=zero)
     end = operator.run()

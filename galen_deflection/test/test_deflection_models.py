@@ -112,12 +112,12 @@ def test_the_wrench_at_the_tip_does_the_same_work():
 def test_compliances_come_back_within_their_covariance():
     """Squared normalised errors over seeds: 4 a fit if the covariance is right."""
     errors = []
-    for seed in range(15):
+    for seed in range(8):
         model = fit("joint_stiffness", recording(WORN, seed, rate_hz=10.0))
         off = model.values - WORN.compliances
         errors.append(off @ np.linalg.solve(model.covariance, off))
-    # chi-squared with 60 degrees of freedom: 60 +- 11; the covariance may be up to 1.3 too large
-    assert 30.0 < sum(errors) < 95.0
+    # chi-squared with 32 degrees of freedom: 32 +- 8; the covariance may be up to 1.3 too large
+    assert 12.0 < sum(errors) < 58.0
 
 
 # --- what is not identifiable -------------------------------------------------------------------
@@ -177,7 +177,7 @@ def test_errors_at_an_unseen_position_are_as_large_as_predicted(kind):
     """Normalised squared error over all samples, 1 an axis if the covariance is right."""
     ratio = []
     whole = recording(WORN, seed=6, rate_hz=10.0)
-    for unseen in range(4):
+    for unseen in (0, 3):
         there = whole.rows(whole.position == unseen)
         predicted = fit(kind, whole.rows(whole.position != unseen)).predict(there)
         off = there.deflection - predicted.mean
@@ -191,7 +191,7 @@ def test_residuals_of_a_wrong_model_are_its_discrepancy_and_enlarge_the_covarian
     """Friction that springs don't have: correlated residuals don't count by their samples."""
     rubbing = Arm(friction=(0.3, 0.3, 4.0))
     few, many = (
-        fit("joint_stiffness", recording(rubbing, seed=1, rate_hz=rate)) for rate in (50.0, 200.0)
+        fit("joint_stiffness", recording(rubbing, seed=1, rate_hz=rate)) for rate in (25.0, 100.0)
     )
     np.testing.assert_allclose(many.std, few.std, rtol=0.2)  # not half, for four times as many
     assert np.all(np.sqrt(np.diag(few.discrepancy)) > 0.3 * NOISE)
@@ -211,7 +211,7 @@ def test_a_stream_predicts_what_a_recording_does_segment_by_segment(kind):
     model = fit(kind, samples)
     predicted = model.predict(samples)
     stream = model.stream()
-    for segment in samples.segments():
+    for segment in list(samples.segments())[:2]:
         stream.reset()
         alone = model.predict(samples.rows(segment))
         np.testing.assert_allclose(alone.mean, predicted.mean[segment], rtol=0, atol=1e-14)

@@ -116,7 +116,7 @@ def test_the_corrected_tip_is_the_tip_displaced(size):
         )
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_faulty_streams_give_what_predict_gives_between_the_faults(seed):
     """Whatever lacks, jumps or is repeated: each output is the model's of the loads it was fed."""
     rng = np.random.default_rng(seed)

@@ -40,9 +40,9 @@ def test_a_sensor_without_noise_that_stands_still_is_sound():
     assert check(np.ones((5000, 6))).stuck == ()
 
 
-@pytest.mark.parametrize("block", [1, 50, 997, 20_000])
+@pytest.mark.parametrize("block", [7, 50, 997, 20_000])
 def test_a_channel_that_sticks_for_a_while_is_found(block):
-    values = readings(4000 if block == 1 else 10_000)
+    values = readings()
     values[2000:2300, 4] = values[2000, 4]
     found = check(values, block)
     (run,) = found.stuck
@@ -95,8 +95,9 @@ def test_a_frozen_reading_is_found_once_and_not_as_six_stuck_channels():
     assert describe_run(run, START, "frozen").startswith("all six channels frozen for 0.20 s (100")
 
 
-@pytest.mark.parametrize(("shortest", "longest"), [(5, 5), (4, 6), (20, 20), (49, 51)])
-@pytest.mark.parametrize("block", [7, 997])
+@pytest.mark.parametrize(
+    ("shortest", "longest", "block"), [(5, 5, 7), (4, 6, 997), (20, 20, 997), (49, 51, 7)]
+)
 def test_a_slow_sensor_whose_readings_come_several_times_is_called_that(shortest, longest, block):
     times = np.random.default_rng(3).integers(shortest, longest + 1, size=20_000 // longest)
     values = np.repeat(readings(len(times)), times, axis=0)

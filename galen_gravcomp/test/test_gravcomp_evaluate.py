@@ -13,6 +13,7 @@ from galen_gravcomp.evaluate.table_scores import (
     contiguous_blocks,
     cross_validate,
     evaluate_table,
+    identify_chosen,
     plain_model,
     robust_model,
 )
@@ -81,9 +82,9 @@ def test_a_column_of_temperatures_explains_the_drift_that_goes_with_it(tmp_path,
         rows[:, -1] = kelvin - zero_k
         other = write(tmp_path / "other.csv", [*WRENCH, "roll", "tilt", name], rows)
         np.testing.assert_allclose(read_table(other, arm=GALEN).temperature_c, kelvin - 273.15)
-    result = evaluate_table(table)
-    assert "temperature" in result.chosen.words
-    assert result.fit.load.mass_kg == pytest.approx(LOAD.mass_kg, abs=0.01)
+    chosen = identify_chosen(table.timed())
+    assert "temperature" in chosen.words
+    assert chosen.single.load.mass_kg == pytest.approx(LOAD.mass_kg, abs=0.01)
     both = write(tmp_path / "both.csv", [*WRENCH, "roll", "tilt", "temp", "temperature"],
                  np.column_stack([rows, kelvin]))  # fmt: skip
     with pytest.raises(GalenError, match="2 columns of temperatures"):
@@ -256,8 +257,8 @@ def test_scores_are_the_noise_on_clean_readings(readings):
         np.testing.assert_allclose(rmse / NOISE, 1.1, atol=4 / np.sqrt(60))
 
 
-def test_scores_tell_how_far_they_are(few):
-    _, _, _, gravity, wrench = few
+def test_scores_tell_how_far_they_are(fewest):
+    _, _, _, gravity, wrench = fewest
     told = []
     evaluate_table(table_of(gravity, wrench), progress=lambda *one: told.append(one))
     texts, done, totals = zip(*told, strict=True)
@@ -322,18 +323,6 @@ def test_a_table_too_short_to_split_is_said(tmp_path, capsys, count):
 
 
 @needs_shared
-def test_kuka_ati_gamma_gives_the_known_load():
-    """0.932 kg, centre z 43.9 mm: computed independently for the data's description."""
-    result = evaluate_table(
-        read_table(SHARED / "kuka_ati_gamma" / "0-calibration_fts-accel.csv", arm=GALEN)
-    )
-    assert result.fit.load.mass_kg == pytest.approx(0.932, abs=0.002)
-    assert result.fit.load.com_m[2] == pytest.approx(0.0439, abs=0.0003)
-    for models in result.scores.values():
-        np.testing.assert_allclose(models["galen"].rmse[:3], [0.136, 0.049, 0.061], rtol=0.05)
-
-
-@needs_shared
 def test_axia80_over_time_gives_the_known_weight():
     table = read_table(
         SHARED / "axia80" / "GP2025-07-22-22-06-02.txt",
@@ -376,7 +365,7 @@ def test_a_tool_file_from_a_table_reads_what_the_fit_reads(tmp_path, few, kind):
     path = tmp_path / "tools" / "gripper.json"
     assert main([str(table), "--write-tool", str(path), "--json"]) == 0
     tool = read_calibration(path, arm=GALEN)
-    fit = evaluate_table(read_table(table, arm=GALEN)).fit
+    fit = identify_chosen(read_table(table, arm=GALEN).timed()).single
     under = gravity * (local if kind == "gravity" else 1.0)
     assert tool.predict(np.stack([roll, tilt], axis=-1)) == pytest.approx(
         fit.predict(under), rel=1e-12, abs=1e-12

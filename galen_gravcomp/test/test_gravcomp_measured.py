@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Measured wrenches through the node: a KUKA with an ATI Gamma, its tool from still poses."""
 
+import contextlib
+import io
+import json
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +23,7 @@ pytestmark = pytest.mark.skipif(
 
 @pytest.fixture(scope="module")
 def baseline(tmp_path_factory):
-    """The run as a bag, and the folder with the tool's file from the still poses."""
+    """The run as a bag, the tool's file from the still poses, and what was said of them."""
     folder = tmp_path_factory.mktemp("kuka")
     bag, file = folder / "baseline", folder / "kuka.json"
     files = [
@@ -29,8 +32,9 @@ def baseline(tmp_path_factory):
     ]  # fmt: skip
     assert convert([*files, "--time-unit", "us", "-o", str(bag)]) == 0
     table = KUKA / "0-calibration_fts-accel.csv"
-    assert evaluate([str(table), "--write-tool", str(file), "--json"]) == 0
-    return bag, file
+    with contextlib.redirect_stdout(io.StringIO()) as said:
+        assert evaluate([str(table), "--write-tool", str(file), "--json"]) == 0
+    return bag, file, json.loads(said.getvalue())
 
 
 def offline(bag, file):
@@ -62,7 +66,7 @@ def rms(values):
 
 
 def test_the_static_model_leaves_the_forces_of_acceleration(baseline):
-    bag, file = baseline
+    bag, file, _ = baseline
     stamps, wrenches, _ = offline(bag, file)
     raw = read_arm(bag, arm=GALEN)
     assert len(stamps) == 4370  # the last orientation is 7 ms older than the last wrench
@@ -71,3 +75,14 @@ def test_the_static_model_leaves_the_forces_of_acceleration(baseline):
     assert rms(wrenches)[0] == pytest.approx(1.22, abs=0.02)
     assert np.all(rms(wrenches)[1:3] < 0.6)
     assert np.all(rms(wrenches)[3:] < 0.08)
+
+
+def test_the_still_poses_give_the_known_load(baseline):
+    """0.932 kg, centre z 43.9 mm: computed independently for the data's description."""
+    _, file, said = baseline
+    load = read_calibration(file, arm=GALEN).load
+    assert load.mass_kg == pytest.approx(0.932, abs=0.002)
+    assert load.com_m[2] == pytest.approx(0.0439, abs=0.0003)
+    for models in said["scores"].values():
+        rmse = [models["galen"]["rmse"][axis] for axis in ("fx", "fy", "fz")]
+        np.testing.assert_allclose(rmse, [0.136, 0.049, 0.061], rtol=0.05)

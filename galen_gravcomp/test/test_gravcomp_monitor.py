@@ -169,7 +169,7 @@ def test_another_publisher_of_the_output_is_rejected_by_name(rig: Rig) -> None:
     assert rig.compensator.compensated == before + 1
 
 
-@pytest.mark.parametrize("back_after_s", [0.3, 1.2, 30.0])
+@pytest.mark.parametrize("back_after_s", [0.3, 30.0])
 def test_a_killed_driver_that_came_back_is_one(rig: Rig, back_after_s: float) -> None:
     """DDS lists the killed one for some 20 s yet, and its end is no restart of the new one."""
     rig.publishers("wrench_raw", 1, 1)

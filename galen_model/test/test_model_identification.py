@@ -81,8 +81,14 @@ def test_noise_free_sweeps_give_the_loads_to_rounding(name):
     assert not found.outliers
 
 
-@pytest.mark.parametrize("down", [(0.0, 0.0, -9.80665), (0.0, 6.0, 7.75)])
-@pytest.mark.parametrize("identify", [identify_two_sweeps, choose_calibration])
+@pytest.mark.parametrize(
+    ("identify", "down"),
+    [
+        (identify_two_sweeps, (0.0, 0.0, -9.80665)),
+        (identify_two_sweeps, (0.0, 6.0, 7.75)),
+        (choose_calibration, (0.0, 6.0, 7.75)),
+    ],
+)
 def test_the_loads_on_a_six_axis_arm_are_found_on_the_floor_and_on_a_wall(identify, down):
     arm, tool = read_arm(SIX_AXIS, gravity_m_s2=down), TOOLS["retractor"].load
     poses = np.random.default_rng(3).uniform(-2.0, 2.0, (40, 6))

@@ -262,7 +262,7 @@ def test_gravity_along_any_axis_of_the_base_is_inclined_with_it():
 
 @pytest.mark.parametrize(
     ("direction", "axes"),
-    [((1.0, 0.0, 0.0), "yz"), ((0.0, -1.0, 0.0), "xz"), ((1.0, 1.0, 1.0), "xy")],
+    [((0.0, -1.0, 0.0), "xz"), ((1.0, 1.0, 1.0), "xy")],
 )
 def test_an_inclination_shows_wherever_gravity_points(direction, axes):
     """Two angles of 2 to 4 degrees, against the bound of Cramer and Rao."""

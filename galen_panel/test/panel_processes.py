@@ -10,19 +10,12 @@ import time
 from contextlib import ExitStack, closing
 from pathlib import Path
 
-from galen_bringup.processes import executable_path, ros_arguments
+from galen_bringup.processes import QUICK, executable_path, ros_arguments
 from galen_panel.options import TOKEN_VARIABLE
 from galen_ros.node.spin import DomainLock
 
-# Quicker than the nodes' defaults, which are for a real arm; the simulated one does not ring.
 BEHAVIOUR = {
-    "settle_s": 0.05,
-    "velocity_window_s": 0.06,
-    "max_angle_velocity_rad_s": 1.4,
-    "max_angle_acceleration_rad_s2": 5.5,
-    "max_delta_velocity_m_s": 0.15,
-    "max_delta_acceleration_m_s2": 0.9,
-    "use_sim_time": True,
+    **QUICK,
     # A machine with other work is no fault.
     "silent_timeout_s": 30.0,
     "service_timeout_s": 60.0,

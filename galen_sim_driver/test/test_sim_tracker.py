@@ -19,6 +19,7 @@ from galen_sim_driver.plant.geometry import (
     rotate_back,
     rotate_by,
     sensor_matrix,
+    to_quaternion,
 )
 
 TURNED = (0.03, -0.05, 0.45, 0.8, -0.6)
@@ -131,4 +132,6 @@ def test_quaternions():
         assert np.allclose(quaternion_to_matrix(product), first @ second, atol=1e-12)
         vector = RNG.normal(size=3)
         assert np.allclose(rotate_by(from_rotvec(b), vector), second @ vector, atol=1e-12)
+        found = np.array(to_quaternion(tuple(second.ravel().tolist())))
+        assert np.allclose(quaternion_to_matrix(found), second, atol=1e-12)
         assert math.hypot(*product) == pytest.approx(1.0, abs=1e-12)

@@ -238,8 +238,7 @@ def test_sliders_beside_a_spring_leave_a_part_of_its_way():
     assert left[0] > 0.012 and left[1] < 0.003
 
 
-@pytest.mark.parametrize("gap", [2e-5, 0.02, 0.08])
-@pytest.mark.parametrize("joint", ["roll", "tilt"])
+@pytest.mark.parametrize(("joint", "gap"), [("roll", 2e-5), ("tilt", 0.08)])
 @pytest.mark.parametrize(("soft", "friction"), [(0.0, 0.0), (0.0, 0.1), (0.6, 0.0)])
 def test_gaps_of_any_size_are_stable(joint, soft, friction, gap):
     plant = replace(PLANT, gap=Gap(joint, gap, soft / gap, friction))

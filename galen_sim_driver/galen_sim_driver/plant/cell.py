@@ -28,7 +28,7 @@ from galen_sim_driver.plant.config import (
     acceleration_limits,
 )
 from galen_sim_driver.plant.effects import ArmNow, PlantEffects
-from galen_sim_driver.plant.geometry import Quaternion, Vector, cross, rotate
+from galen_sim_driver.plant.geometry import Quaternion, Vector, cross, rotate, to_quaternion
 from galen_sim_driver.plant.hand import Admittance, Hand
 from galen_sim_driver.plant.motion import (
     LimitedMotion,
@@ -367,7 +367,7 @@ class Plant:
         place = (tuple(now.joints), self.tool)
         if place != self._place:  # the arm stands most of the time
             self._place, self._compliance = place, None
-            self._tip_pose = (effects.position(now, self._tip), effects.quaternion(now))
+            self._tip_pose = (effects.position(now, self._tip), to_quaternion(now.matrix))
         deflection = None
         at_tip = [0.0] * 6
         if touch is not None:

@@ -15,7 +15,6 @@ from galen_model.arm.arm import Arm
 from galen_model.arm.sensor_motion import MotionOfSensor, SensorMotion
 from galen_model.arrays import Array
 from galen_model.load.model import Load, ToolGeometry, gravity_wrench
-from galen_model.rotation import matrix_to_quaternion
 
 from galen_sim_driver.effects.effect import (
     Effect,
@@ -25,12 +24,7 @@ from galen_sim_driver.effects.effect import (
     added,
     in_order,
 )
-from galen_sim_driver.plant.geometry import (
-    Matrix,
-    Quaternion,
-    rotate_back,
-    sensor_matrix,
-)
+from galen_sim_driver.plant.geometry import Matrix, rotate_back, sensor_matrix
 from galen_sim_driver.plant.sensors import MarkerPose
 
 _ORIGIN = (0.0, 0.0, 0.0)
@@ -202,19 +196,6 @@ class PlantEffects:
         """
         _, at = self._misaligned.tip_pose(arm.joints, point)
         return (float(at[0]), float(at[1]), float(at[2]))
-
-    def quaternion(self, arm: ArmNow) -> Quaternion:
-        """Return the sensor's rotation in base_link.
-
-        Args:
-            arm: of `arm_now`.
-
-        Returns:
-            Unit quaternion x, y, z, w.
-
-        """
-        x, y, z, w = matrix_to_quaternion(np.reshape(arm.matrix, (3, 3))).tolist()
-        return (x, y, z, w)
 
     def more_deflection(
         self, arm: ArmNow, at_tip: Sequence[float], elastic: Sequence[float]

@@ -203,3 +203,26 @@ def from_rotvec(rotvec: Sequence[float]) -> Quaternion:
     # sin(a/2)/a = 1/2 - a^2/48 + ..., which is 1/2 to rounding below 1e-8.
     scale = math.sin(0.5 * angle) / angle if angle > 1e-8 else 0.5
     return (scale * x, scale * y, scale * z, math.cos(0.5 * angle))
+
+
+def to_quaternion(matrix: Matrix) -> Quaternion:
+    """Return the quaternion of a rotation, from the row of 4 q q^T that has the most digits.
+
+    Args:
+        matrix: of the rotation.
+
+    Returns:
+        Unit quaternion x, y, z, w.
+
+    """
+    a, b, c, d, e, f, g, h, i = matrix
+    diagonal = (1.0 + a - e - i, 1.0 - a + e - i, 1.0 - a - e + i, 1.0 + a + e + i)
+    rows = (
+        (diagonal[0], b + d, c + g, h - f),
+        (b + d, diagonal[1], f + h, c - g),
+        (c + g, f + h, diagonal[2], d - b),
+        (h - f, c - g, d - b, diagonal[3]),
+    )
+    x, y, z, w = rows[diagonal.index(max(diagonal))]
+    size = math.hypot(x, y, z, w)
+    return (x / size, y / size, z / size, w / size)
