@@ -223,6 +223,8 @@ def test_ctrl_c_of_the_client_leaves_a_readable_bag_named_as_unfinished(tmp_path
             env=os.environ | {"ROS_DOMAIN_ID": str(harness.domain_id), "PYTHONUNBUFFERED": "1"},
             stderr=subprocess.PIPE,
             text=True,
+            # In a job in a shell's background it would be ignored.
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
         ) as process:
             lines = []
             for line in process.stderr:
