@@ -27,7 +27,7 @@ from panel_processes import PanelWorld
 from selenium.webdriver.common.by import By
 
 WEBGL = True
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(400)]
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 
 BAGS = Path(__file__).resolve().parents[2] / "bags"
 TABS = ("operate", "live", "recordings", "nodes")
