@@ -89,6 +89,15 @@ class Answered:
         return self.said is not None and _matched(wanted, self.said.named) == len(wanted)
 
     @property
+    def whole(self) -> bool:
+        """Whether every effect is named, and as many causes as there are effects."""
+        return (
+            self.said is not None
+            and self.all_named
+            and len(self.said.causes) == len(self.label.names)
+        )
+
+    @property
     def solved(self) -> bool:
         """Whether verdict and causes are right; with twins `ambiguous` is, too."""
         if self.label.answer in (NONE, UNKNOWN):
@@ -263,18 +272,11 @@ def _rates(cases: Sequence[Answered]) -> dict[str, Rate]:
             for strength in ("faint", "clear", "gross")
         },
         "pairs_named": rate(c.all_named for c in of["pair"]),
-        "pairs_whole": rate(
-            c.all_named and c.said is not None and len(c.said.causes) == 2 for c in of["pair"]
-        ),
+        "pairs_whole": rate(c.whole for c in of["pair"]),
         "several_named": rate(c.all_named for c in of["several"]),
-        "several_whole": rate(
-            c.all_named and c.said is not None and len(c.said.causes) == len(c.label.names)
-            for c in of["several"]
-        ),
+        "several_whole": rate(c.whole for c in of["several"]),
         "changed_named": rate(c.all_named for c in of["changed"]),
-        "changed_whole": rate(
-            c.all_named and c.said is not None and len(c.said.causes) == 1 for c in of["changed"]
-        ),
+        "changed_whole": rate(c.whole for c in of["changed"]),
         "unchanged_alarms": rate(c.verdict != NONE for c in of["unchanged"]),
         "twins_named": rate(
             c.said is not None and c.label.accepted - {NONE} <= c.said.named for c in twins
