@@ -92,6 +92,15 @@ def build_parser() -> argparse.ArgumentParser:
             help="makes the same set again (default: a random one, which the labels name)",
         )
         step.add_argument(
+            "--tables",
+            type=Path,
+            nargs="+",
+            default=[],
+            metavar="FILE",
+            help="measured tables (fx .. tz and orientations, columns named in the first line):"
+            " pairs of each, with an effect put in or none",
+        )
+        step.add_argument(
             "--workers", type=whole(1), metavar="N", help="processes (default: one a processor)"
         )
     scoring = steps.add_parser("score", help="compare tools' answers with the labels")
@@ -130,7 +139,9 @@ def make(arguments: argparse.Namespace, folder: Path, generate: Generate = gener
     """
     check_parent(folder)
     wanted = {name: getattr(arguments, name) for name in ("per_class", "healthy", "short")}
-    published = blind_protocol.make(folder, wanted, arguments.seed, arguments.workers, generate)
+    published = blind_protocol.make(
+        folder, wanted, arguments.seed, arguments.workers, generate, arguments.tables
+    )
     print(f"labels sealed in {beside(folder, 'labels')}, SHA-256 {published}", flush=True)
 
 
@@ -214,6 +225,8 @@ def _made(folder: Path, plan: dict[str, Any], recordings: int) -> str:
     options = "--short" if plan.get("short") else ""
     for name in () if options else ("per_class", "healthy"):
         options += f" --{name.replace('_', '-')} {plan.get(name)}"
+    if tables_of := plan.get("tables"):
+        options += f" --tables {' '.join(tables_of)}"
     return (
         f"{recordings} recordings of `python -m galen_validation.blind_check make SET"
         f" --seed {plan.get('seed')} {options.strip()}`, labels' SHA-256"

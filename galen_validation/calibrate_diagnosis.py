@@ -3,7 +3,7 @@
 
     OMP_NUM_THREADS=1 python -m galen_validation.calibrate_diagnosis CASES [--per-class N] [--write]
 
-makes recordings by the blind arm, with seeds and unknown kinds that `blind_check` never uses,
+makes recordings by the blind check's arms, with a seed and unknown kinds that it never uses,
 explores each (CASES keeps what came out, so that a run can be taken up again), and fits the
 settings of `posterior.py` to the largest mean log probability of what was there, every kind of case
 counting the same, with a prior about the settings' defaults. Half of the sessions are fitted, the
@@ -17,29 +17,37 @@ import json
 import sys
 import tempfile
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from galen_common.command import EXIT_OK, run_command
-from galen_diagnosis.answer.answer import NONE
-from galen_diagnosis.inference.diagnosing import explore
-from galen_diagnosis.inference.posterior import Probabilities, Scored, Settings, posterior
+from galen_diagnosis.answer.answer import NONE, UNKNOWN
+from galen_diagnosis.inference.diagnosing import explore, within_limits
+from galen_diagnosis.inference.posterior import (
+    Probabilities,
+    Scored,
+    Settings,
+    load_settings,
+    posterior,
+)
 from galen_diagnosis.observation.recording import read_recording
-from galen_diagnosis.observation.specification import CALIBRATED
 from galen_model.errors import GalenError
 from galen_model.files.atomic_file import write_whole
 from scipy.optimize import minimize
 from tqdm import tqdm
 
 from galen_diagnosis import inference
-from galen_validation.blind.case import Case, generate
-from galen_validation.blind.causes import EFFECTS, PAIRS
+from galen_validation.blind.blind_protocol import full_plan
+from galen_validation.blind.case import SINCE, Case, generate
+from galen_validation.blind.diagnosing import specified
+from galen_validation.blind.score import matched
 from galen_validation.blind.unlisted import CALIBRATION_UNKNOWN
 
-FIRST_SEED = 7_000_000
-"""Seeds from here on are calibration's."""
+_SEED = 7_000_000
+"""Of calibration's cases."""
+_HEALTHY = 20
 
 _FAINT = 0.5
 _LEAST = 1e-3
@@ -51,12 +59,17 @@ _SPREAD = (0.3, 0.5, 0.5, 0.5, 0.7, 0.4)
 
 @dataclass(frozen=True)
 class Known:
-    """A calibration case: what was there and what the search made of it."""
+    """A calibration case: what was there and what the search made of it.
+
+    acceptable: for each cause the names that the recording can't separate from it. causes: of each
+    of `scored` the effects that lie beyond their limits.
+    """
 
     kind: str
     strength: str
     acceptable: tuple[frozenset[str], ...]
     scored: tuple[Scored, ...]
+    causes: tuple[frozenset[str], ...]
 
     def chance(self, of: Probabilities) -> float:
         """Return the probability of what was there: sets with one acceptable name for each effect.
@@ -68,66 +81,42 @@ class Known:
             0 ... 1; of faint causes half of `none` counts as right, too.
 
         """
-        if self.kind == "none":
-            return of.none
+        none = of.none + sum(
+            chance
+            for one, causes, chance in zip(self.scored, self.causes, of.hypotheses, strict=True)
+            if one.names and not causes
+        )
+        if self.kind == NONE:
+            return none
         # What looks like a healthy arm may be called so. A faint cause can, just: "none" is half
         # right there, as it is better than any other cause.
-        right = _FAINT * of.none if self.strength == "faint" else 0.0
+        right = _FAINT * none if self.strength == "faint" else 0.0
         if all(NONE in names for names in self.acceptable):
-            right = of.none
-        if self.kind.startswith("unknown"):
+            right = none
+        if self.kind == UNKNOWN:
             return of.unknown + right
-        for one, chance in zip(self.scored, of.hypotheses, strict=True):
-            if one.names and self._is_right(one.names):
+        for causes, chance in zip(self.causes, of.hypotheses, strict=True):
+            if causes and self._is_right(causes):
                 right += chance
         return right
 
-    def _is_right(self, names: tuple[str, ...]) -> bool:
-        if len(names) != len(self.acceptable):
-            return False
-        left = list(self.acceptable)
-        for name in names:
-            hit = next((one for one in left if name in one), None)
-            if hit is None:
-                return False
-            left.remove(hit)
-        return True
+    def _is_right(self, causes: frozenset[str]) -> bool:
+        wanted = len(self.acceptable)
+        return len(causes) == wanted == matched(self.acceptable, causes)
 
 
-def plan(per_class: int) -> list[Case]:
-    """Plan cases of all kinds; more of what must not be got wrong.
+def plan(per_class: int) -> dict[str, Case]:
+    """Plan cases on all arms, as a blind set's, with unknown kinds and seeds of their own.
 
     Args:
-        per_class: Turns over all kinds; strengths change from turn to turn.
+        per_class: As `blind_check`'s; healthy arms in proportion.
 
     Returns:
-        Cases of the Galen, with seeds from FIRST_SEED on.
+        Cases by name, in random order; none with a reference, whose `explore` follows another's.
 
     """
-    cases = []
-    seed = FIRST_SEED
-    for turn in range(per_class):
-        wanted: list[tuple[str, tuple[str, ...], str]] = [
-            ("single", (name,), strength) for name in EFFECTS for strength in _strengths(turn)
-        ]
-        wanted += [("none", (), "")] * 8
-        wanted += [
-            ("unknown_calibration", (name,), s)
-            for name in CALIBRATION_UNKNOWN
-            for s in _strengths(turn)
-        ]
-        pairs = [PAIRS[(turn * 6 + k) * 7 % len(PAIRS)] for k in range(6)]
-        wanted += [
-            ("pair", tuple(pair), "clear" if k % 2 else "gross") for k, pair in enumerate(pairs)
-        ]
-        for kind, effects, strength in wanted:
-            cases.append(Case(seed, kind, effects, strength or "clear"))
-            seed += 1
-    return cases
-
-
-def _strengths(turn: int) -> tuple[str, ...]:
-    return (("clear",), ("gross",), ("faint",), ("clear", "gross"))[turn % 4]
+    cases = full_plan(_SEED, per_class, _HEALTHY * per_class, CALIBRATION_UNKNOWN)
+    return {name: case for name, case in cases.items() if case.kind not in SINCE}
 
 
 def collect(case: Case) -> dict[str, Any]:
@@ -144,17 +133,21 @@ def collect(case: Case) -> dict[str, Any]:
 
     """
     with tempfile.TemporaryDirectory() as folder:
-        truth = generate(case, Path(folder) / "recording")
-        explored = explore(read_recording(Path(folder) / "recording", specification=[CALIBRATED]))
+        recording = Path(folder) / "recording"
+        truth = generate(case, recording)
+        explored = explore(read_recording(recording, specification=specified(recording)))
+    within = within_limits(explored, posterior(explored.scored, load_settings()))
+    explored = replace(explored, within=within)
     return {
         "kind": case.kind,
         "strength": case.strength,
+        "arm": case.arm,
         "effects": [one["effect"] for one in truth.effects],
         "parameters": [_plain(one["parameters"]) for one in truth.effects],
         "d": truth.d,
         "acceptable": truth.acceptable,
         "scored": [asdict(one) for one in explored.scored],
-        "rows": len(explored.observation.rows),
+        "causes": [sorted(explored.beyond(one.names)) for one in explored.scored],
     }
 
 
@@ -165,7 +158,7 @@ def known(content: dict[str, Any]) -> Known:
         content: Content of a case's JSON file.
 
     Returns:
-        The case; rows, parameters and D are left out.
+        The case; arm, parameters and D are left out.
 
     """
     scored = tuple(
@@ -173,7 +166,8 @@ def known(content: dict[str, Any]) -> Known:
         for one in content["scored"]
     )
     acceptable = tuple(frozenset(names) for names in content["acceptable"])
-    return Known(content["kind"], content["strength"], acceptable, scored)
+    causes = tuple(frozenset(names) for names in content["causes"])
+    return Known(content["kind"], content["strength"], acceptable, scored, causes)
 
 
 def loss(cases: Sequence[Known], settings: Settings) -> float:
@@ -296,9 +290,9 @@ def _part(text: str) -> tuple[int, int]:
 def _run(given: argparse.Namespace) -> int:
     given.cases.mkdir(parents=True, exist_ok=True)
     part, parts = given.part
-    mine = plan(given.per_class)[part::parts]
-    for case in tqdm(mine, unit="case", disable=not sys.stderr.isatty()):
-        path = given.cases / f"{case.seed}.json"
+    mine = list(plan(given.per_class).items())[part::parts]
+    for name, case in tqdm(mine, unit="case", disable=not sys.stderr.isatty()):
+        path = given.cases / f"{name}.json"
         if not path.exists():
             try:
                 content = collect(case)

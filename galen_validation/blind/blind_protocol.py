@@ -14,6 +14,7 @@ and where there is no Landlock, one that reads SET.labels.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import secrets
@@ -23,7 +24,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -31,7 +32,6 @@ from typing import Any
 import numpy as np
 from galen_bags.many import run_many
 from galen_common.command import EXIT_INTERRUPTED, EXIT_OK, writing
-from galen_diagnosis.answer.answer import NONE
 from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
 from galen_model.files.atomic_file import write_whole
@@ -50,30 +50,25 @@ from galen_validation.blind.labels import (
     published_sha256,
     sealed,
 )
+from galen_validation.blind.measured_tables import DRAWN
 from galen_validation.blind.mujoco_arm import require_mujoco
 from galen_validation.blind.session import ARMS, USUAL, six_axis
 from galen_validation.blind.unlisted import NEED_SPRINGS, TEST_UNKNOWN
 
 _END_S = 20.0  # in which the diagnosing process ends by SIGINT
 DIAGNOSING = (sys.executable, "-m", "galen_validation.blind.diagnosing")
-_PAIRS_PER_CLASS, _SEVERAL_PER_CLASS, _CHANGED_PER_CLASS, _UNCHANGED_PER_CLASS = 10, 6, 10, 4
-_KINDS: dict[str, LabelKind] = {
-    NONE: "none", "single": "single", "pair": "pair", "several": "several",
-    "ambiguous": "ambiguous", "changed": "changed", "unchanged": "unchanged",
-    "unknown_test": "unknown",
+_PER_CLASS: Mapping[LabelKind, int] = {
+    "pair": 10, "ambiguous": 2, "several": 6, "changed": 10, "unchanged": 4,
 }  # fmt: skip
 _SHORT = (
-    (NONE, (), "clear", "galen"),
-    ("single", ("joint_zero_offset:tilt",), "gross", "galen"),
-    ("single", ("bias_step",), "clear", "galen"),
-    ("single", ("tool_mass_error",), "clear", "galen"),
-    ("pair", ("axis_gain", "tracker_scale"), "clear", "galen"),
-    ("unknown_test", ("rattling_mass",), "gross", "galen"),
+    Case(0, "none"),
+    Case(0, "single", ("joint_zero_offset:tilt",), "gross"),
+    Case(0, "single", ("bias_step",)),
+    Case(0, "single", ("tool_mass_error",)),
+    Case(0, "pair", ("axis_gain", "tracker_scale")),
+    Case(0, "unknown", ("rattling_mass",), "gross"),
 )
 """One of each sort, for a check of the program and not of its rates."""
-
-Sort = tuple[str, tuple[str, ...], str, str]
-"""Kind, effects, strength and arm of a case."""
 
 Generate = Callable[[Case, Path], Truth]
 
@@ -85,6 +80,8 @@ of half of the arms, `specification.json` (limits of what is healthy; the others
 calibrated). Each hides one to five causes of the gap between arm and model, one that is on no list,
 or none. What lies within its limit is no cause. Of some, `reference` holds an earlier recording of
 the same arm and tool: causes are then what has changed since, from a fifth of its limit on.
+A folder with `table.csv` and `reference.csv` in place of bags has readings of a real sensor at rest
+(N, N.m; gravity in the sensor's frame, m/s^2): at most one effect has come since the reference.
 
 1. Answer from these files alone, each recording by itself. No answer may depend on another
    recording, on file times or names, or on a simulation with this set's seed.
@@ -112,7 +109,13 @@ def rules() -> str:
     return _RULES + "".join(lines)
 
 
-def full_plan(seed: int, per_class: int, healthy: int) -> dict[str, Case]:
+def full_plan(
+    seed: int,
+    per_class: int,
+    healthy: int,
+    unlisted: Sequence[str] = TEST_UNKNOWN,
+    measured: Sequence[Path] = (),
+) -> dict[str, Case]:
     """Plan a set: cases by the names of their recordings.
 
     There are 10 pairs, 6 cases of three to five effects, two twins, 10 changes since a reference
@@ -124,6 +127,9 @@ def full_plan(seed: int, per_class: int, healthy: int) -> dict[str, Case]:
         per_class: Recordings of each listed effect at each strength, and of each unlisted one that
             is clear and gross.
         healthy: Recordings without a cause.
+        unlisted: Causes that are on no list.
+        measured: Tables; a pair of each with every effect that a table shows, and two with none,
+            for each of `per_class`.
 
     Returns:
         Cases by recording name, in the order of names.
@@ -133,19 +139,18 @@ def full_plan(seed: int, per_class: int, healthy: int) -> dict[str, Case]:
 
     """
     random = np.random.default_rng([seed, 1])
-    rigid = [name for name in TEST_UNKNOWN if name not in NEED_SPRINGS]
-    of_galen, of_six = [*listed(GALEN), *TEST_UNKNOWN], [*listed(six_axis()), *rigid]
+    rigid = [name for name in unlisted if name not in NEED_SPRINGS]
+    of_galen, of_six = [*listed(GALEN), *unlisted], [*listed(six_axis()), *rigid]
     shown = {arm: of_galen if arm.startswith("galen") else of_six for arm in ARMS}
     classes = list(dict.fromkeys(name.partition(":")[0] for name in listed(GALEN)))
-    wanted = [("single", effect, s) for effect in classes for s in STRENGTHS]
-    wanted += [("unknown_test", name, s) for name in TEST_UNKNOWN for s in ("clear", "gross")]
-    wanted += [("pair", "", "clear")] * _PAIRS_PER_CLASS + [("ambiguous", "", "clear")] * 2
-    wanted += [("several", "", "clear")] * _SEVERAL_PER_CLASS
-    wanted += [("changed", "", "clear")] * _CHANGED_PER_CLASS
-    wanted += [("unchanged", "", "clear")] * _UNCHANGED_PER_CLASS
-    wanted = [*wanted * per_class, *[(NONE, "", "clear")] * healthy]
-    sorts: list[Sort] = []
-    for number, (kind, effect, strength) in enumerate(wanted):
+    turn: list[tuple[LabelKind, str, str]] = [
+        *(("single", effect, s) for effect in classes for s in STRENGTHS),
+        *(("unknown", name, s) for name in unlisted for s in ("clear", "gross")),
+    ]
+    turn += [(kind, "", "clear") for kind, number in _PER_CLASS.items() for _ in range(number)]
+    healthy_arms: list[tuple[LabelKind, str, str]] = [("none", "", "clear")] * healthy
+    sorts: list[Case] = []
+    for number, (kind, effect, strength) in enumerate(turn * per_class + healthy_arms):
         at = {
             arm: [x for x in names if x.partition(":")[0] == effect] for arm, names in shown.items()
         }
@@ -156,7 +161,13 @@ def full_plan(seed: int, per_class: int, healthy: int) -> dict[str, Case]:
         if effect and not at[arm]:
             arm = "galen_usual" if arm.endswith(USUAL) else "galen"
         names = (at[arm][random.integers(len(at[arm]))],) if effect else ()
-        sorts.append((kind, names, strength, arm))
+        sorts.append(Case(0, kind, names, strength, arm=arm))
+    of_table = [*((name,) for name in DRAWN), (), ()] * per_class
+    sorts += [
+        Case(0, "table", names, arm=path.stem, table=path)
+        for path in measured
+        for names in of_table
+    ]
     return _named(sorts, seed)
 
 
@@ -173,24 +184,25 @@ def short_plan(seed: int) -> dict[str, Case]:
     return _named(_SHORT, seed)
 
 
-def _named(sorts: Sequence[Sort], seed: int) -> dict[str, Case]:
+def _named(sorts: Sequence[Case], seed: int) -> dict[str, Case]:
     """Give cases seeds and names, in whose order they come: at random, it shows no sort."""
     random = np.random.default_rng(np.random.SeedSequence(seed))
     names = random.choice(16**6, size=len(sorts), replace=False)
     seeds = random.integers(0, 2**31 - 1, size=len(sorts))
     planned = {
-        f"recording_{int(name):06x}": Case(int(own), kind, effects, strength, arm=arm)
-        for name, own, (kind, effects, strength, arm) in zip(names, seeds, sorts, strict=True)
+        f"recording_{int(name):06x}": replace(sort, seed=int(own))
+        for name, own, sort in zip(names, seeds, sorts, strict=True)
     }
     return dict(sorted(planned.items()))
 
 
 def make(
     folder: Path,
-    wanted: Mapping[str, int | bool],
+    wanted: Mapping[str, Any],
     seed: int | None,
     workers: int | None,
     generate: Generate = generate,
+    measured: Sequence[Path] = (),
 ) -> str:
     """Make a set, or what it lacks of one that was begun.
 
@@ -200,6 +212,7 @@ def make(
         seed: Seed of the set; None for a random one, or that of the set that was begun.
         workers: Processes; None for one per processor.
         generate: Makes a recording in a directory; tests replace it.
+        measured: Tables for pairs; a short set has none.
 
     Returns:
         SHA-256 of the labels, hexadecimal.
@@ -210,6 +223,7 @@ def make(
 
     """
     private = beside(folder, "labels")
+    wanted = {**wanted, "tables": {path.stem: _sha256(path) for path in measured}}
     begun = _begun(folder, private / "plan.json")
     used = secrets.randbits(64) if seed is None else seed
     if begun is not None:
@@ -222,7 +236,7 @@ def make(
     cases = (
         short_plan(used)
         if wanted["short"]
-        else full_plan(used, int(wanted["per_class"]), int(wanted["healthy"]))
+        else full_plan(used, wanted["per_class"], wanted["healthy"], measured=measured)
     )
     require_mujoco()
     recordings = folder / "recordings"
@@ -247,6 +261,13 @@ def make(
 
 _SAME_TIME_S = 946_684_800
 """2000-01-01: the time that every recorded file bears."""
+
+
+def _sha256(path: Path) -> str:
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise GalenError(f"{path}: can't be read: {error}") from error
 
 
 def _begun(folder: Path, plan: Path) -> dict[str, Any] | None:
@@ -285,11 +306,11 @@ def make_one(
     for old in (work, recording):
         shutil.rmtree(old, ignore_errors=True)
     truth = generate(case, work)
-    if not (work / "arm.urdf").exists():
+    if case.table is None and not (work / "arm.urdf").exists():
         (work / "arm.urdf").write_text(GALEN.urdf, encoding="utf-8")
     made = Label(
         recording=recording.name,
-        kind=_KINDS[case.kind],
+        kind=case.kind,
         effects=truth.effects,
         strength=truth.strength,
         d=min(truth.d, default=None),

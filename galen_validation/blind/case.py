@@ -40,6 +40,8 @@ from scipy.spatial.transform import Rotation
 
 from galen_validation.blind.baselines import templates
 from galen_validation.blind.causes import NEED_PUSHES, Cause, listed, pairs, twins
+from galen_validation.blind.labels import KINDS, LabelKind
+from galen_validation.blind.measured_tables import CLEAR, pair_of
 from galen_validation.blind.measuring import (
     CROSSTALK_LEVER_M,
     Measurement,
@@ -51,7 +53,6 @@ from galen_validation.blind.measuring import (
 )
 from galen_validation.blind.session import ARMS, BAGS, REFERENCE, USUAL, draw_session
 from galen_validation.blind.unlisted import (
-    CALIBRATION_UNKNOWN,
     NEED_SPRINGS,
     TEST_UNKNOWN,
     UNLISTED,
@@ -62,10 +63,6 @@ STRENGTHS = {"faint": 6.0, "clear": 30.0, "gross": 150.0}
 OF_LIMITED = {"faint": 3.0, "clear": 10.0, "gross": 60.0}
 """D of those that a specification limits, which allows for as much beside them."""
 
-KINDS = (
-    "none", "single", "pair", "several", "unknown_calibration", "unknown_test", "ambiguous",
-    "changed", "unchanged",
-)  # fmt: skip
 SINCE = "changed", "unchanged"
 """Kinds with an earlier recording of the arm: a single cause since, and none."""
 
@@ -91,16 +88,17 @@ class Case:
 
     effects: names, () to let the seed draw them from the kind's list. bags: those that are
     recorded. tolerance: of the healthy arm, 1 as it usually is, 0 for exactly nominal. arm: one of
-    ARMS.
+    ARMS. table: a measured one, of which the case is a pair (`measured_tables`).
     """
 
     seed: int
-    kind: str
+    kind: LabelKind
     effects: tuple[str, ...] = ()
     strength: str = "clear"
     bags: tuple[str, ...] = BAGS
     tolerance: float = 1.0
     arm: str = "galen"
+    table: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -135,6 +133,8 @@ def generate(case: Case, directory: Path) -> Truth:
     """
     if directory.exists() and any(directory.iterdir()):
         raise GalenError(f"{directory}: is there already, and isn't empty")
+    if case.table is not None:
+        return _of_table(case, case.table, directory)
     if case.arm not in ARMS:
         raise GalenError(f"{case.arm!r} is no arm of the blind check; there are {', '.join(ARMS)}")
     arm, usual = ARMS[case.arm](), case.arm.endswith(USUAL)
@@ -159,6 +159,17 @@ def generate(case: Case, directory: Path) -> Truth:
             content = {"schema_version": 1, "name": "data sheets", "limits": specified}
             write_whole(folder / SPECIFICATION_FILE, json.dumps(content, indent=1))
     return truth
+
+
+def _of_table(case: Case, table: Path, directory: Path) -> Truth:
+    effect = case.effects[0] if case.effects else None
+    pair = pair_of(table, case.seed, effect, TELLABLE)
+    pair.write(directory)
+    if pair.parameters is None:
+        return Truth()
+    effects = ({"effect": effect, "parameters": dict(pair.parameters)},)
+    strength = "clear" if pair.d > 0.99 * CLEAR else "faint"
+    return Truth(strength, effects, (pair.d,), (pair.acceptable,))
 
 
 def _scaled(specified: Mapping[str, Any] | None, share: float) -> Mapping[str, Any] | None:
@@ -449,8 +460,7 @@ def _drawn(rng: np.random.Generator, case: Case, healthy: Measurement) -> tuple[
         "single": singles,
         "changed": singles,
         "pair": [pair for pair in pairs(arm) if set(pair) <= set(there)],
-        "unknown_calibration": [(name,) for name in shows if name in CALIBRATION_UNKNOWN],
-        "unknown_test": [(name,) for name in shows if name in TEST_UNKNOWN],
+        "unknown": [(name,) for name in shows if name in TEST_UNKNOWN],
         "ambiguous": [(name,) for name in twins(arm)],
     }
     if case.kind == "several":

@@ -44,16 +44,25 @@ def diagnosed(recording: Path) -> dict[str, Any]:
         GalenError: The recording can't be read or diagnosed.
 
     """
+    from galen_bags.arrays.tables import read_table
     from galen_diagnosis.inference.diagnosing import diagnose_recording
     from galen_diagnosis.observation.observation import Observation
     from galen_diagnosis.observation.recording import read_recording
-    from galen_diagnosis.observation.specification import CALIBRATED, SPECIFICATION_FILE
+    from galen_diagnosis.tables.conclusion import diagnose_blocks
+    from galen_diagnosis.tables.rows import prepare_table
+    from galen_model.arm.galen import GALEN
 
     from galen_validation.blind.baselines import answers
+    from galen_validation.blind.measured_tables import EARLIER, TABLE, simple_table_answers
 
     started_s = time.monotonic()
-    # Those without a file are of carefully calibrated arms.
-    given = () if (recording / SPECIFICATION_FILE).exists() else (CALIBRATED,)
+    if (recording / TABLE).exists():
+        table, reference = (read_table(recording / name, arm=GALEN) for name in (TABLE, EARLIER))
+        prepared = prepare_table(table, references=[reference])
+        found = diagnose_blocks(recording.name, *prepared).to_json()
+        own = {**found, "seconds": time.monotonic() - started_s}
+        return {**simple_table_answers(recording), PROGRAM: own}
+    given = specified(recording)
     read = read_recording(recording, specification=given)
     earlier = [
         read_recording(folder, specification=given)
@@ -63,6 +72,21 @@ def diagnosed(recording: Path) -> dict[str, Any]:
     found = diagnose_recording(read, references=earlier).answer.to_json()
     own = {**found, "seconds": time.monotonic() - started_s}
     return {**answers(Observation(read)), PROGRAM: own}
+
+
+def specified(recording: Path) -> tuple[str, ...]:
+    """Return the specification of a set's recording: its file, or that of a calibrated arm.
+
+    Args:
+        recording: Directory of the recording.
+
+    Returns:
+        As `read_recording` takes it; () for the recording's own file.
+
+    """
+    from galen_diagnosis.observation.specification import CALIBRATED, SPECIFICATION_FILE
+
+    return () if (recording / SPECIFICATION_FILE).exists() else (CALIBRATED,)
 
 
 def diagnose_one(recording: Path, answers: Path, diagnose: Diagnose = diagnosed) -> None:

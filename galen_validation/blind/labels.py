@@ -12,7 +12,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from galen_diagnosis.answer.answer import NONE, UNKNOWN
 from galen_model.errors import GalenError
@@ -29,8 +29,9 @@ from galen_sim_driver.effects.registry import identity_of
 
 LABELS, SEAL = "labels.json", "labels.sha256"
 LabelKind = Literal[
-    "single", "none", "unknown", "pair", "several", "ambiguous", "changed", "unchanged"
+    "single", "none", "unknown", "pair", "several", "ambiguous", "changed", "unchanged", "table"
 ]
+KINDS: tuple[LabelKind, ...] = get_args(LabelKind)
 _EFFECTS = {
     "single": (1,),
     "pair": (2,),
@@ -38,6 +39,7 @@ _EFFECTS = {
     "ambiguous": (1,),
     "changed": (1,),
     "unchanged": (0,),
+    "table": (0, 1),
     NONE: (0,),
     UNKNOWN: (1,),
 }

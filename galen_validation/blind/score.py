@@ -86,7 +86,7 @@ class Answered:
     def all_named(self) -> bool:
         """Whether every effect, or what can't be separated from it, is named."""
         wanted = self.label.wanted
-        return self.said is not None and _matched(wanted, self.said.named) == len(wanted)
+        return self.said is not None and matched(wanted, self.said.named) == len(wanted)
 
     @property
     def whole(self) -> bool:
@@ -261,7 +261,7 @@ def _rates(cases: Sequence[Answered]) -> dict[str, Rate]:
     """Rates that are counts of one property of some of the recordings."""
     of = {
         kind: [c for c in cases if c.label.kind == kind]
-        for kind in ("single", "pair", "several", "changed", "unchanged", UNKNOWN)
+        for kind in ("single", "pair", "several", "changed", "unchanged", "table", UNKNOWN)
     }
     twins = [c for c in cases if c.label.kind in ("single", "ambiguous")]
     twins = [c for c in twins if c.label.sure and len(c.label.accepted - {NONE}) > 1]
@@ -278,6 +278,8 @@ def _rates(cases: Sequence[Answered]) -> dict[str, Rate]:
         "changed_named": rate(c.all_named for c in of["changed"]),
         "changed_whole": rate(c.whole for c in of["changed"]),
         "unchanged_alarms": rate(c.verdict != NONE for c in of["unchanged"]),
+        "tables_named": rate(c.all_named for c in of["table"] if c.label.sure),
+        "tables_alarms": rate(c.verdict != NONE for c in of["table"] if not c.label.effects),
         "twins_named": rate(
             c.said is not None and c.label.accepted - {NONE} <= c.said.named for c in twins
         ),
@@ -340,8 +342,17 @@ def _members(cases: Sequence[Answered]) -> dict[tuple[str, str], tuple[Rate, Rat
     }
 
 
-def _matched(wanted: Sequence[frozenset[str]], named: frozenset[str]) -> int:
-    """Count the most names that can each be given to another one of the wanted sets."""
+def matched(wanted: Sequence[frozenset[str]], named: frozenset[str]) -> int:
+    """Count the most names that can each be given to another one of the wanted sets.
+
+    Args:
+        wanted: Of each cause the names that stand for it.
+        named: Names of an answer.
+
+    Returns:
+        Number of causes that are named.
+
+    """
     if not wanted or not named:
         return 0
     fits = np.array([[float(name in names) for name in sorted(named)] for names in wanted])

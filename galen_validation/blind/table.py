@@ -24,6 +24,8 @@ LINES = (
     ("changes since a reference, from a fifth of the limit: named", "≥ 90 %", "changed_named"),
     ("changes since a reference: named and no other", "", "changed_whole"),
     ("nothing changed since a reference: false alarms", "≤ 3 %", "unchanged_alarms"),
+    ("measured tables with a reference, from 10 σ on: named", "≥ 85 %", "tables_named"),
+    ("measured tables, nothing put in: false alarms", "≤ 3 %", "tables_alarms"),
     ("twins: the whole set named", "", "twins_named"),
     ("unlisted causes: found by the verdict", "≥ 85 %", "unlisted"),
     ("listed or none, but called unknown", "", "known_called_unknown"),

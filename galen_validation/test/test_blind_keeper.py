@@ -19,6 +19,7 @@ from galen_validation.blind.case import SINCE, STRENGTHS, Truth
 from galen_validation.blind.causes import EFFECTS
 from galen_validation.blind.diagnosing import PROGRAM
 from galen_validation.blind.labels import open_labels
+from galen_validation.blind.measured_tables import DRAWN
 from galen_validation.blind.session import ARMS, USUAL
 from galen_validation.blind.unlisted import CALIBRATION_UNKNOWN, TEST_UNKNOWN
 
@@ -32,7 +33,7 @@ def fake_generate(case, directory):
         case.kind, ("hail",)
     )
     effects = case.effects or drawn
-    reads = {"none": "none", "unknown_test": "unknown"}.get(case.kind, (*effects, "none")[0])
+    reads = "unknown" if case.kind == "unknown" else (*effects, "none")[0]
     if effects == ("bias_step",):
         reads = "breaks"
     directory.mkdir(parents=True)
@@ -150,15 +151,19 @@ def test_plans():
     classes = {effect.partition(":")[0] for effect in EFFECTS}
     assert sorted(singles) == sorted((one, s) for one in classes for s in STRENGTHS for _ in (0, 1))
     assert [c.kind for c in cases].count("none") == 20
-    asked = {case.effects[0] for case in cases if case.kind == "unknown_test"}
+    asked = {case.effects[0] for case in cases if case.kind == "unknown"}
     assert asked == set(TEST_UNKNOWN) and not asked & set(CALIBRATION_UNKNOWN)
     assert len({case.seed for case in cases}) == len(plan)
     for arm in ARMS:
         own = [case.kind for case in cases if case.arm == arm]
         assert 0.2 < np.mean([kind not in SINCE for kind in own]) * len(own) / len(plan) < 0.3
-        assert set(own) >= {"single", "pair", "several", "none", "unknown_test"}
+        assert set(own) >= {"single", "pair", "several", "none", "unknown"}
         assert ({"changed", "unchanged"} <= set(own)) == arm.endswith(USUAL)
-    assert {c.kind for c in short_plan(1).values()} == {"none", "single", "pair", "unknown_test"}
+    of_tables = full_plan(5, 2, 20, measured=[Path("sensor.csv")])
+    pairs = [case for case in of_tables.values() if case.kind == "table"]
+    assert sorted(c.effects for c in pairs) == sorted([*((name,) for name in DRAWN), (), ()] * 2)
+    assert {c.arm for c in pairs} == {"sensor"}
+    assert {c.kind for c in short_plan(1).values()} == {"none", "single", "pair", "unknown"}
 
 
 def test_changed_labels_do_not_open(tmp_path):

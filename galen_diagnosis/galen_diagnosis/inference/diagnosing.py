@@ -246,7 +246,7 @@ def conclude(explored: Explored, settings: Settings, say: Progress) -> Diagnosis
     """
     observation, found = explored.observation, explored.found
     chances = posterior(explored.scored, settings)
-    explored = replace(explored, within=_within(explored, chances))
+    explored = replace(explored, within=within_limits(explored, chances))
     chances = _of_causes(explored, chances)
     verdict, chosen = _verdict(explored, chances)
     best = chosen or found.none
@@ -346,10 +346,20 @@ def fit_of_causes(explored: Explored, settings: Settings) -> Hypothesis:
     return explored.found.none if best is None or verdict == NONE else best
 
 
-def _within(explored: Explored, chances: Probabilities) -> dict[frozenset[str], frozenset[str]]:
+def within_limits(
+    explored: Explored, chances: Probabilities
+) -> dict[frozenset[str], frozenset[str]]:
     """Return which effects of each set lie within their limits where it is fitted best.
 
     What a healthy arm's deviations are fitted of beside every cause lies beyond where it is one.
+
+    Args:
+        explored: What was looked at.
+        chances: Probabilities of its hypotheses; unlikely sets are left out.
+
+    Returns:
+        By set of effects those of it that lie within.
+
     """
     out = {}
     for chance, names in _sets(explored, chances):
