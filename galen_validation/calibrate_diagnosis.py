@@ -16,12 +16,14 @@ import argparse
 import json
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from galen_bags.many import run_many
 from galen_common.command import EXIT_OK, run_command
 from galen_diagnosis.answer.answer import NONE, UNKNOWN
 from galen_diagnosis.inference.diagnosing import explore, within_limits
@@ -36,7 +38,6 @@ from galen_diagnosis.observation.recording import read_recording
 from galen_model.errors import GalenError
 from galen_model.files.atomic_file import write_whole
 from scipy.optimize import minimize
-from tqdm import tqdm
 
 from galen_diagnosis import inference
 from galen_validation.blind.blind_protocol import full_plan
@@ -272,34 +273,23 @@ def main(args: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--per-class", type=int, default=4, help="turns over all kinds (4); 0: make no more cases"
     )
-    parser.add_argument(
-        "--part", type=_part, default=(0, 1), metavar="I/N", help="make only every Nth case"
-    )
     parser.add_argument("--write", action="store_true", help="write the package's calibration.json")
     given = parser.parse_args(args)
     return run_command(parser.prog, lambda: _run(given))
 
 
-def _part(text: str) -> tuple[int, int]:
-    first, slash, of = text.partition("/")
-    if not (slash and first.isdecimal() and of.isdecimal() and int(first) < int(of)):
-        raise argparse.ArgumentTypeError(f"{text!r:.20} is no part like 0/2 or 1/2")
-    return int(first), int(of)
+def _collect_into(path: Path, cases: Mapping[str, Case]) -> None:
+    write_whole(path, json.dumps(collect(cases[path.stem])))
 
 
 def _run(given: argparse.Namespace) -> int:
     given.cases.mkdir(parents=True, exist_ok=True)
-    part, parts = given.part
-    mine = list(plan(given.per_class).items())[part::parts]
-    for name, case in tqdm(mine, unit="case", disable=not sys.stderr.isatty()):
-        path = given.cases / f"{name}.json"
-        if not path.exists():
-            try:
-                content = collect(case)
-            except GalenError as error:
-                print(f"{case}: {error}", file=sys.stderr)
-                continue
-            write_whole(path, json.dumps(content))
+    cases_of = plan(given.per_class)
+    missing = [path for name in cases_of if not (path := given.cases / f"{name}.json").exists()]
+    one = partial(_collect_into, cases=cases_of)
+    for finished in run_many(one, missing):
+        if finished.error is not None:
+            print(f"{finished.bag}: {finished.error}", file=sys.stderr)
     files = sorted(given.cases.glob("*.json"))
     if not files:
         raise GalenError(f"{given.cases}: no cases to calibrate on")
