@@ -36,6 +36,7 @@ _LEAST_GAIN, _BEST_OF_MANY_SIGMAS = 0.1, 3.0
 Several candidates are compared, so that two standard errors are often chance.
 """
 _TOLERANCE = 1e-2  # of sigma: a prediction's density needs no more
+_MOST_NUMBERS = 1_000_000  # of the designs of blocks that are fitted at once
 
 
 class BlockGain(NamedTuple):
@@ -146,21 +147,29 @@ def held_out(
         sigma = problem.solve(used).settle(_TOLERANCE).sigma
     except IdentificationError:
         return residuals, density
-    for label in np.unique(groups[groups >= 0]):
-        held = groups == label
+    blocks = np.unique(groups[groups >= 0])
+    together = np.array_split(blocks, 1 + len(blocks) * problem.design.size // _MOST_NUMBERS)
+    while together:
+        labels = together.pop()
+        held = groups == labels[:, None]
+        fit, reading = np.nonzero(held)
         try:
             equations = problem.solve(used & ~held)
             if equal:
-                values, _ = equations.values(np.ones(len(sigma)))
-                residuals[held] = equations.residuals(values)[held]
+                values, _ = equations.values(np.ones((len(labels), len(sigma))))
+                residuals[reading] = equations.residuals(values)[fit, reading]
                 continue
             found = equations.settle(_TOLERANCE, sigma)
         except IdentificationError:
+            if len(labels) > 1:  # one of them leaves a parameter open
+                together += np.array_split(labels, 2)
             continue
-        variance = 1.0 + equations.leverage(found.covariance, found.sigma)[held]
-        residuals[held] = equations.residuals(found.values)[held]
-        density[held] = student_t_logpdf(
-            residuals[held], found.freedom + PRIOR_READINGS, found.sigma * np.sqrt(variance)
+        residuals[reading] = equations.residuals(found.values)[fit, reading]
+        variance = 1.0 + equations.leverage(found.covariance, found.sigma)[fit, reading]
+        density[reading] = student_t_logpdf(
+            residuals[reading],
+            found.freedom[fit] + PRIOR_READINGS,
+            found.sigma[fit] * np.sqrt(variance),
         )
     return residuals, density
 

@@ -53,6 +53,8 @@ _FALSE_REJECTIONS_PER_SWEEP = 0.01
 _MAD_TO_STD = 1.4826
 _LEAST_SHARE_OF_KIND = 0.1
 _ITERATIONS = 30
+_LEAST_CHANGE = 1e-3  # of a weight
+_NEAREST_DISTANCE = 0.1 * np.sqrt(6)
 _LARGEST_DISTANCE = 1.5 * np.sqrt(chi2_ppf(0.9999, 6))
 
 
@@ -170,7 +172,7 @@ class Problem:
         """Make the normal equations for given weights of the readings.
 
         Args:
-            weights: (n,), 0 to 1, or a mask.
+            weights: (n,), 0 to 1, or a mask; (..., n) for as many fits at once.
 
         Returns:
             The equations.
@@ -272,21 +274,17 @@ class Problem:
         count, channels = self.readings.shape
         sigma = np.maximum(np.std(self.readings, axis=0), _tiny(self.readings))
         weights = np.ones(count)
-        for step in range(2 * _ITERATIONS):
-            equations = self.solve(weights)
-            values, covariance = equations.values(sigma)
-            studentised = equations.studentised(equations.residuals(values), covariance, sigma)
-            sigma = _mad_scale(studentised)
-            distance = _norm(studentised / sigma)
-            if step < _ITERATIONS:  # least absolute distance: a start that few outliers can't lead
-                new = 1.0 / np.maximum(distance, 0.1 * np.sqrt(channels))
-                new /= new.max()
-            else:
-                new = np.clip(1.0 - (distance / _LARGEST_DISTANCE) ** 2, 0.0, None) ** 2
-            moved = float(np.abs(new - weights).max())
-            weights = new
-            if step >= _ITERATIONS and moved < 1e-3:
-                break
+        # The first is a start that few outliers can't lead.
+        for weights_of in (_least_absolute, _bisquare):
+            for _ in range(_ITERATIONS):
+                equations = self.solve(weights)
+                values, covariance = equations.values(sigma)
+                studentised = equations.studentised(equations.residuals(values), covariance, sigma)
+                sigma = _mad_scale(studentised)
+                distance = _norm(studentised / sigma)
+                before, weights = weights, weights_of(distance)
+                if np.abs(weights - before).max() < _LEAST_CHANGE:
+                    break
         freedom = max(count - self._unknowns / channels, 1.0)
         limit = channels * f_ppf(1.0 - _FALSE_REJECTIONS_PER_SWEEP / count, channels, freedom)
         used = distance**2 <= limit
@@ -371,7 +369,7 @@ class _Eliminated(NamedTuple):
 
     rows: B (n, width); penalty: Q; inverse: M^-1; by_design, by_readings: M^-1 B'W of the channels'
     design, (channels, width, p), and readings, (channels, width). free: design (channels, n, p)
-    less what the curves can take of it.
+    less what the curves can take of it. All but rows and penalty have the weights' first axes.
     """
 
     channels: list[int]
@@ -385,15 +383,19 @@ class _Eliminated(NamedTuple):
 
 
 class Equations:
-    """Normal equations of a problem for given weights of its readings, the curves eliminated."""
+    """Normal equations of a problem for given weights of its readings, the curves eliminated.
+
+    Weights (..., n) make as many equations; values, covariances, noise and all that follows of them
+    have the same first axes.
+    """
 
     def __init__(self, problem: Problem, weights: Array) -> None:
         self.problem = problem
         self.weights = weights
         channels, parameters = problem.design.shape[1:]
-        self.information = np.zeros((channels, parameters, parameters))
+        self.information = np.zeros((*weights.shape[:-1], channels, parameters, parameters))
         """N_k"""
-        self.right = np.zeros((channels, parameters))
+        self.right = np.zeros((*weights.shape[:-1], channels, parameters))
         self._eliminated = [
             self._eliminate(shape, [k for k in range(channels) if problem.shapes[k] == shape])
             for shape in dict.fromkeys(problem.shapes)
@@ -401,7 +403,7 @@ class Equations:
 
     def _eliminate(self, shape: BiasShape, channels: list[int]) -> _Eliminated:
         basis, rows, penalty = self.problem.basis(shape)
-        weighted = (rows * self.weights[:, None]).T
+        weighted = rows.T * self.weights[..., None, :]
         moment = weighted @ rows + penalty
         try:
             np.linalg.cholesky(moment)
@@ -414,12 +416,12 @@ class Equations:
         design = self.problem.by_channel
         if len(channels) < len(design):
             design = design[channels]
-        by_design = onto @ design
+        by_design = onto[..., None, :, :] @ design
         free = design - rows @ by_design
-        weighted_free = (free * self.weights[:, None]).transpose(0, 2, 1)
-        self.information[channels] = weighted_free @ design
-        self.right[channels] = (weighted_free @ readings.T[:, :, None])[:, :, 0]
-        by_readings = (onto @ readings).T
+        weighted_free = np.swapaxes(free * self.weights[..., None, :, None], -1, -2)
+        self.information[..., channels, :, :] = weighted_free @ design
+        self.right[..., channels, :] = (weighted_free @ readings.T[:, :, None])[..., 0]
+        by_readings = np.swapaxes(onto @ readings, -1, -2)
         return _Eliminated(channels, basis, rows, penalty, inverse, by_design, by_readings, free)
 
     def values(self, sigma: Array) -> tuple[Array, Array]:
@@ -435,14 +437,14 @@ class Equations:
             IdentificationError: the weighted readings leave a parameter open.
 
         """
-        information = np.einsum("kij,k->ij", self.information, 1.0 / sigma**2)
-        right = self.right.T @ (1.0 / sigma**2)
+        information = np.einsum("...kij,...k->...ij", self.information, 1.0 / sigma**2)
+        right = _sum(1.0 / sigma**2, self.right)
         known = self.problem.known
         if known is not None:
             information = information + known.whitened.T @ known.whitened
             right = right + known.whitened.T @ (known.values / known.std)
         covariance = _balanced_inverse(information)
-        return covariance @ right, covariance
+        return _times(covariance, right), covariance
 
     def settle(self, tolerance: float = 1e-9, sigma: Array | None = None) -> Settled:
         """Find x, its covariance, and each channel's noise and freedom together.
@@ -461,12 +463,18 @@ class Equations:
         readings = self.problem.readings
         if sigma is None:
             sigma = np.maximum(np.std(readings, axis=0), _tiny(readings))
+        sigma = np.broadcast_to(sigma, (*self.weights.shape[:-1], len(sigma)))
+        freedom = np.zeros_like(sigma)
+        settled = np.zeros((*self.weights.shape[:-1], 1), dtype=bool)
         for _ in range(_ITERATIONS):
             values, covariance = self.values(sigma)
-            next_sigma, freedom = self.noise(values, covariance, sigma)
-            settled = np.all(np.abs(next_sigma - sigma) <= tolerance * sigma)
-            sigma = next_sigma
-            if settled:
+            found, free = self.noise(values, covariance, sigma)
+            change = np.abs(found - sigma)
+            near = np.all(change <= tolerance * sigma, axis=-1, keepdims=True)
+            sigma = np.where(settled, sigma, found)
+            freedom = np.where(settled, freedom, free)
+            settled = settled | near
+            if np.all(settled):
                 break
         return Settled(*self.values(sigma), sigma, freedom)
 
@@ -482,20 +490,20 @@ class Equations:
             Noise (c,), in the channels' units, and degrees of freedom (c,).
 
         """
-        squares = self.weights @ self.residuals(values) ** 2
-        free = np.empty(len(squares))
+        squares = _sum(self.weights, self.residuals(values) ** 2)
+        free = np.empty(squares.shape[-1])
         for part in self._eliminated:
             curve = self._curve(part, values)
-            squares[part.channels] += np.sum((curve @ part.penalty) * curve, axis=1)
+            squares[..., part.channels] += np.sum((curve @ part.penalty) * curve, axis=-1)
             free[part.channels] = part.basis.free
-        taken = np.einsum("kij,ji->k", self.information, covariance) / sigma**2
-        count = np.count_nonzero(self.weights) + self.problem.zeroed
+        taken = np.einsum("...kij,...ji->...k", self.information, covariance) / sigma**2
+        count = np.count_nonzero(self.weights, axis=-1, keepdims=True) + self.problem.zeroed
         freedom = np.maximum(count - free - taken, 1.0)
         return np.maximum(_pooled(squares, freedom), _tiny(self.problem.readings)), freedom
 
     def _curve(self, part: _Eliminated, values: Array) -> Array:
         """Return beta (channels, width)."""
-        return np.asarray(part.by_readings - part.by_design @ values)
+        return np.asarray(part.by_readings - _times(part.by_design, values[..., None, :]))
 
     def curves(self, values: Array) -> Iterator[tuple[BiasBasis, Array]]:
         """Compute the channels' curves at given x.
@@ -524,9 +532,10 @@ class Equations:
             Biases (n, c), in the readings' units.
 
         """
-        bias = np.empty(self.problem.readings.shape)
+        bias = np.empty((*values.shape[:-1], *self.problem.readings.shape))
         for part in self._eliminated:
-            bias[:, part.channels] = part.rows @ self._curve(part, values).T
+            curve = self._curve(part, values)
+            bias[..., part.channels] = part.rows @ np.swapaxes(curve, -1, -2)
         return bias
 
     def residuals(self, values: Array) -> Array:
@@ -539,7 +548,10 @@ class Equations:
             Residuals (n, c), in the readings' units.
 
         """
-        return self.problem.readings - self.problem.design @ values - self.bias(values)
+        readings = self.problem.readings
+        of_design = values @ self.problem.design.reshape(readings.size, -1).T
+        of_design = of_design.reshape(*values.shape[:-1], *readings.shape)
+        return np.asarray(readings - of_design - self.bias(values))
 
     def leverage(self, covariance: Array, sigma: Array) -> Array:
         """Compute the variance of what is fitted to a reading, in units of sigma squared.
@@ -552,12 +564,12 @@ class Equations:
             h (n, c), of a reading of weight one.
 
         """
-        leverage = np.empty(self.problem.readings.shape)
+        leverage = np.empty((*sigma.shape[:-1], *self.problem.readings.shape))
         for part in self._eliminated:
-            of_x = np.sum((part.free @ covariance) * part.free, axis=2).T
-            of_x /= sigma[part.channels] ** 2
-            of_curve = np.sum((part.rows @ part.inverse) * part.rows, axis=1)
-            leverage[:, part.channels] = np.maximum(of_x, 0.0) + of_curve[:, None]
+            of_x = np.sum((part.free @ covariance[..., None, :, :]) * part.free, axis=-1)
+            of_x = np.swapaxes(of_x, -1, -2) / sigma[..., None, part.channels] ** 2
+            of_curve = np.sum((part.rows @ part.inverse) * part.rows, axis=-1)
+            leverage[..., part.channels] = np.maximum(of_x, 0.0) + of_curve[..., None]
         return leverage
 
     def studentised(self, residuals: Array, covariance: Array, sigma: Array) -> Array:
@@ -656,31 +668,51 @@ _SETTLED = 0.05  # of a standard deviation: the step after that is smaller by tw
 _ROUNDING = 1e-11  # kg, kg.m, rad
 
 
+def _times(matrix: Array, vector: Array) -> Array:
+    """Multiply matrices (..., m, n) by vectors (..., n)."""
+    return np.asarray((matrix @ vector[..., None])[..., 0])
+
+
+def _sum(weights: Array, rows: Array) -> Array:
+    """Sum rows (..., n, m) by weights (..., n)."""
+    return np.asarray((weights[..., None, :] @ rows)[..., 0, :])
+
+
 def _pooled(squares: Array, freedom: Array) -> Array:
-    """Noise (c,) of the channels from sums of squares and degrees of freedom, each (c,).
+    """Noise (..., c) of the channels from sums of squares and degrees of freedom, each (..., c).
 
     Drawn towards the mean of its kind, force or torque, as `PRIOR_READINGS` more would.
     """
-    kind_mean = squares.reshape(-1, 3).sum(axis=1) / freedom.reshape(-1, 3).sum(axis=1)
-    drawn = squares + PRIOR_READINGS * np.repeat(kind_mean, 3)
+    kinds = (*squares.shape[:-1], -1, 3)
+    kind_mean = squares.reshape(kinds).sum(axis=-1) / freedom.reshape(kinds).sum(axis=-1)
+    drawn = squares + PRIOR_READINGS * np.repeat(kind_mean, 3, axis=-1)
     return np.asarray(np.sqrt(drawn / (freedom + PRIOR_READINGS)))
 
 
 def _balanced_inverse(information: Array) -> Array:
-    """Invert information (p, p) whose columns differ by orders of magnitude (kg beside kg.m).
+    """Invert information (..., p, p) whose columns differ by orders of magnitude (kg beside kg.m).
 
     Raises IdentificationError where the readings, as they are weighted, leave a parameter open.
     """
-    diagonal = np.diag(information)
+    diagonal = np.diagonal(information, axis1=-2, axis2=-1)
     if np.any(diagonal <= 0.0):
         raise IdentificationError("the poses agree on no load")
     balance = 1.0 / np.sqrt(diagonal)
-    both = balance[:, None] * balance
+    both = balance[..., :, None] * balance[..., None, :]
     try:
         inverse = np.linalg.inv(information * both)
     except np.linalg.LinAlgError:
         raise IdentificationError("the poses agree on no load") from None
     return np.asarray(inverse * both, dtype=np.float64)
+
+
+def _least_absolute(distance: Array) -> Array:
+    weights = 1.0 / np.maximum(distance, _NEAREST_DISTANCE)
+    return np.asarray(weights / weights.max())
+
+
+def _bisquare(distance: Array) -> Array:
+    return np.asarray(np.clip(1.0 - (distance / _LARGEST_DISTANCE) ** 2, 0.0, None) ** 2)
 
 
 def _mad_scale(residuals: Array) -> Array:
