@@ -261,6 +261,7 @@ def over_limit(
 _OF_TRUTH = {
     "sensor_nonlinearity": "coefficient", "sensor_hysteresis": "fraction",
     "cable_drag": "tension_N", "deflection_hysteresis": "residual_fraction",
+    "deflection_creep": "fraction",
 }  # fmt: skip
 """Parameters that are another number than the cause's size."""
 

@@ -292,10 +292,11 @@ def _hysteresis(rng: np.random.Generator, healthy: Measurement) -> Cause:
         for name, lever in levers.items():
             stiffness = plant.arm.stiffness[name]
             own[name] = (1.0 - size) * stiffness
-            joints = [f"carriage{leg}" for leg in range(3)] if name == "carriage" else [name]
             for part, limit in ((0.6, 1.0), (0.4, 2.0)):
                 friction = part * size * limit * slides_n * lever
-                beside += [Slider(joint, part * size * stiffness, friction) for joint in joints]
+                beside += [
+                    Slider(joint, part * size * stiffness, friction) for joint in _driven(name)
+                ]
         return replace(plant, arm=plant.arm.with_stiffness(own), sliders=tuple(beside))
 
     start, largest = {"sliders": (0.2, 0.8), "drives": (2.0, 6.0)}.get(member, (5.0, 60.0))
@@ -304,6 +305,42 @@ def _hysteresis(rng: np.random.Generator, healthy: Measurement) -> Cause:
         lambda _, measured: {"residual_fraction": measured.residual_fraction()},
         plant=slides if member == "sliders" else rubs, member=member,
     )  # fmt: skip
+
+
+def _creep(rng: np.random.Generator, healthy: Measurement) -> Cause:
+    """Part of each drive's spring k is in series with a damper c: a standard linear solid.
+
+    With k = k_0 + k_1 at once and k_0 in the end, tau = c k / (k_0 k_1).
+    """
+    tau_s = float(np.exp(rng.uniform(0.0, np.log(10.0))))
+
+    def creeps(size: float, plant: Plant) -> Plant:
+        own, beside = {}, []
+        for name, whole in plant.arm.stiffness.items():
+            if name != "rod":
+                own[name] = whole / (1.0 + size)
+                part = whole - own[name]
+                damping = tau_s * own[name] * part / whole
+                beside += [Slider(j, part, damping=damping) for j in _driven(name)]
+        return replace(plant, arm=plant.arm.with_stiffness(own), sliders=tuple(beside))
+
+    def fraction(measured: Measurement) -> float:
+        """Further deflection of the tip under forces over the elastic one; rods don't creep."""
+        gives = [
+            np.linalg.norm(plant.arm.tip_compliance(plant.arm.home, plant.tip_m)[:3, :3])
+            for plant in (measured.plant, healthy.plant)
+        ]
+        return float(gives[0] / gives[1] - 1.0)
+
+    return Cause(
+        "deflection_creep", 0.1, 3.0,
+        lambda _, measured: {"fraction": fraction(measured), "tau_s": tau_s}, plant=creeps,
+    )  # fmt: skip
+
+
+def _driven(name: str) -> list[str]:
+    """Return the joints that have a spring of this name."""
+    return [f"carriage{leg}" for leg in range(3)] if name == "carriage" else [name]
 
 
 # Load
@@ -665,19 +702,21 @@ _ANYWHERE: Mapping[str, Draw] = {
     "inertial_load": _inertial,
     "joint_compliance": _compliance,
     "deflection_hysteresis": _hysteresis,
+    "deflection_creep": _creep,
     "backlash": _backlash,
     "tracker_delay": _delay("tracker"),
     "tracker_scale": _tracker_scale,
     "base_shift": _base_shift,
 }
 
-_SPRINGY = ("deflection_hysteresis",)
+_SPRINGY = ("deflection_hysteresis", "deflection_creep")
 
 EFFECTS = tuple(listed(GALEN))
 """Of the Galen."""
 
 NEED_PUSHES = (
-    "joint_compliance", "deflection_hysteresis", "tracker_delay", "tracker_scale", "base_shift",
+    "joint_compliance", "deflection_hysteresis", "deflection_creep", "tracker_delay",
+    "tracker_scale", "base_shift",
 )  # fmt: skip
 """Only the bag of pushes shows them."""
 

@@ -71,6 +71,7 @@ CONTRACT = {
     "inertial_load": {"mass_kg"},
     "joint_compliance": {"stiffness"},
     "deflection_hysteresis": {"residual_fraction"},
+    "deflection_creep": {"fraction", "tau_s"},
     "backlash": {"joint", "gap_rad"},
     "tracker_delay": {"delay_s"},
     "tracker_scale": {"gain"},
@@ -405,6 +406,26 @@ def test_friction_in_the_rods_leaves_a_fraction_and_a_healthy_arm_none(healthy):
     changed = Measurement(healthy.session, NOMINAL)
     changed.plant = replace(healthy.plant, rod_friction_n=20.0 * np.ones(6))
     assert 0.05 < changed.residual_fraction() < 0.6
+
+
+def test_a_creeping_arm_goes_on_as_its_truth_tells(healthy):
+    creep = LISTED["deflection_creep"](np.random.default_rng(2), healthy).resized(0.4)
+    creeping = Measurement(healthy.session, NOMINAL, [creep], healthy)
+    truth = creep.truth(creep.size, creeping)
+    at_s = np.arange(0.0, 12.0, STEP_S)
+    held = np.tile(healthy.session.arm.home, (len(at_s), 1))
+    force = np.array([4.0, -6.0, 3.0])
+    wrench = np.concatenate([force, np.cross(healthy.plant.tip_m, force)])
+    push = np.where(at_s[:, None] > 0.5, wrench, 0.0)
+    rest, elastic, moved = (
+        measured.arm.run(at_s, held, applied).position
+        for measured, applied in ((healthy, None), (healthy, push), (creeping, push))
+    )
+    for second in (4.0, 8.0, 11.9):
+        here = round(second / STEP_S)
+        crept = 1.0 - np.exp(-(second - 0.5) / truth["tau_s"])
+        expected = (1.0 + truth["fraction"] * crept) * (elastic[here] - rest[here])
+        assert np.linalg.norm(moved[here] - rest[here] - expected) < 0.05 * np.linalg.norm(expected)
 
 
 @pytest.mark.parametrize("arm", [GALEN, SIX])
