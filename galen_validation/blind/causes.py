@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import combinations
 from typing import TYPE_CHECKING, Any, Self
 
@@ -292,11 +293,10 @@ def _hysteresis(rng: np.random.Generator, healthy: Measurement) -> Cause:
         for name, lever in levers.items():
             stiffness = plant.arm.stiffness[name]
             own[name] = (1.0 - size) * stiffness
+            joints = [f"carriage{leg}" for leg in range(3)] if name == "carriage" else [name]
             for part, limit in ((0.6, 1.0), (0.4, 2.0)):
                 friction = part * size * limit * slides_n * lever
-                beside += [
-                    Slider(joint, part * size * stiffness, friction) for joint in _driven(name)
-                ]
+                beside += [Slider(joint, part * size * stiffness, friction) for joint in joints]
         return replace(plant, arm=plant.arm.with_stiffness(own), sliders=tuple(beside))
 
     start, largest = {"sliders": (0.2, 0.8), "drives": (2.0, 6.0)}.get(member, (5.0, 60.0))
@@ -308,39 +308,25 @@ def _hysteresis(rng: np.random.Generator, healthy: Measurement) -> Cause:
 
 
 def _creep(rng: np.random.Generator, healthy: Measurement) -> Cause:
-    """Part of each drive's spring k is in series with a damper c: a standard linear solid.
-
-    With k = k_0 + k_1 at once and k_0 in the end, tau = c k / (k_0 k_1).
-    """
+    """To what pushes move the tip, e, comes c with tau dc/dt = size e - c."""
     tau_s = float(np.exp(rng.uniform(0.0, np.log(10.0))))
 
-    def creeps(size: float, plant: Plant) -> Plant:
-        own, beside = {}, []
-        for name, whole in plant.arm.stiffness.items():
-            if name != "rod":
-                own[name] = whole / (1.0 + size)
-                part = whole - own[name]
-                damping = tau_s * own[name] * part / whole
-                beside += [Slider(j, part, damping=damping) for j in _driven(name)]
-        return replace(plant, arm=plant.arm.with_stiffness(own), sliders=tuple(beside))
+    @cache
+    def crept() -> tuple[Array, Array]:
+        at_s, moved = healthy.pushed_by("push")
+        keep = np.exp(-(at_s[1] - at_s[0]) / tau_s)
+        return at_s, np.asarray(lfilter([1.0 - keep], [1.0, -keep], moved, axis=0))
 
-    def fraction(measured: Measurement) -> float:
-        """Further deflection of the tip under forces over the elastic one; rods don't creep."""
-        gives = [
-            np.linalg.norm(plant.arm.tip_compliance(plant.arm.home, plant.tip_m)[:3, :3])
-            for plant in (measured.plant, healthy.plant)
-        ]
-        return float(gives[0] / gives[1] - 1.0)
+    def slip(size: float, at: Moment) -> Array:
+        if at.bag != "push":
+            return np.zeros((len(at.bag_s), 6))
+        times, state = crept()
+        columns = [size * np.interp(at.bag_s, times, column) for column in state.T]
+        return np.stack(columns, axis=1)
 
     return Cause(
-        "deflection_creep", 0.1, 3.0,
-        lambda _, measured: {"fraction": fraction(measured), "tau_s": tau_s}, plant=creeps,
-    )  # fmt: skip
-
-
-def _driven(name: str) -> list[str]:
-    """Return the joints that have a spring of this name."""
-    return [f"carriage{leg}" for leg in range(3)] if name == "carriage" else [name]
+        "deflection_creep", 0.1, 3.0, lambda size, _: {"fraction": size, "tau_s": tau_s}, slip=slip
+    )
 
 
 # Load

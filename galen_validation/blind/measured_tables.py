@@ -196,12 +196,10 @@ class Pair:
             (TABLE, self.later_rows, self.later),
             (EARLIER, self.earlier_rows, earlier),
         ):
+            # No time: the reference's readings are between the others, and not before.
             numbers = np.concatenate([wrench, self.table.gravity[rows]], axis=1)
-            names = [*WRENCH_AXES, "gx", "gy", "gz"]
-            if self.table.time is not None:
-                numbers = np.column_stack([self.table.time[rows], numbers])
-                names = ["t", *names]
-            lines = [",".join(names), *(",".join(f"{x:.9g}" for x in row) for row in numbers)]
+            lines = [",".join((*WRENCH_AXES, "gx", "gy", "gz"))]
+            lines += [",".join(f"{x:.9g}" for x in row) for row in numbers]
             write_whole(directory / name, "\n".join(lines) + "\n")
 
 

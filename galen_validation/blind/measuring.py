@@ -244,10 +244,27 @@ class Measurement:
         if bag not in self._traces:
             take = self.session.takes[bag]
             at_s = np.arange(0.0, take.end_s + 0.02, STEP_S)
-            reported = self._true(take.course(np.minimum(at_s, take.end_s)), at_s + take.start_s)
+            reported = self._reported(bag, at_s)
             push = None if take.pushes is None else take.pushes.wrench(at_s)
             self._traces[bag] = self.arm.run(at_s, reported, push)
         return self._traces[bag]
+
+    def pushed_by(self, bag: str) -> tuple[Array, Array]:
+        """Return how far the bag's pushes move the tip.
+
+        Args:
+            bag: Name of one of the session's bags.
+
+        Returns:
+            Times (n,), s, and translation and rotation (n, 6) in the tip's axes, m and rad.
+
+        """
+        trace = self.trace(bag)
+        rest = self.arm.run(trace.at_s, self._reported(bag, trace.at_s))
+        back = np.swapaxes(trace.rotation, 1, 2)
+        moved = np.einsum("nij,nj->ni", back, trace.position - rest.position)
+        turned = Rotation.from_matrix(np.swapaxes(rest.rotation, 1, 2) @ trace.rotation)
+        return trace.at_s, np.concatenate([moved, turned.as_rotvec()], axis=1)
 
     def reading(self, bag: str, taken_s: Array) -> Array:
         """Return the sensor's reading, with the errors of sensor and causes, without noise.
@@ -344,6 +361,11 @@ class Measurement:
             stayed += float(np.sum(np.mean(moved[after], axis=0) ** 2))
             largest += float(np.sum(np.mean(moved[top], axis=0) ** 2))
         return math.sqrt(stayed / largest)
+
+    def _reported(self, bag: str, at_s: Array) -> Array:
+        """Return the joints that the drives follow, with what causes make of them (n, k)."""
+        take = self.session.takes[bag]
+        return self._true(take.course(np.minimum(at_s, take.end_s)), at_s + take.start_s)
 
     def _true(self, reported: Array, session_s: Array) -> Array:
         for cause in self.causes:

@@ -117,15 +117,11 @@ class Pull:
 
 @dataclass(frozen=True)
 class Slider:
-    """A spring in series with dry friction or a damper, beside a joint's own.
-
-    stiffness N.m/rad or N/m, friction N.m or N, damping N.m.s/rad or N.s/m.
-    """
+    """A spring in series with dry friction, beside a joint's own: N.m/rad and N.m."""
 
     joint: str
     stiffness: float
-    friction: float = 0.0
-    damping: float = 0.0
+    friction: float
 
 
 @dataclass(frozen=True)
@@ -323,13 +319,12 @@ class MujocoArm:
         self._stiffness.append(stiffness)
 
     def _slider(self, name: str, slider: Slider) -> None:
-        """Hang a mass on a joint by a spring, held back; it stands where the joint begins."""
+        """Hang a mass with friction on a joint by a spring; it stands where the joint begins."""
         mj = self._mj
         mass = self._body(self._spec.worldbody, name, 1e-3, 0.01)
         mass.add_joint(
             name=name, type=mj.mjtJoint.mjJNT_HINGE, axis=[0.0, 0.0, 1.0],
             armature=4.0 * STEP_S**2 * slider.stiffness, frictionloss=slider.friction,
-            damping=[slider.damping, 0.0, 0.0],
             solref_friction=_HARD, solimp_friction=_HARD_IMPEDANCE,
         )  # fmt: skip
         spring = self._spec.add_tendon(name=f"{name}_spring")
