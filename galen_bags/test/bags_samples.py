@@ -4,9 +4,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Sequence
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 from zlib import crc32
 
 import lz4.frame
@@ -33,38 +31,32 @@ class Sample(NamedTuple):
     data: bytes
 
 
-def header(stamp_ns: int, frame_id: str = "") -> Any:
+def header(stamp_ns, frame_id=""):
     stamp = TYPES.types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 10**9))
     return TYPES.types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame_id)
 
 
-def joint_state(
-    head: Any,
-    names: Sequence[str],
-    position: Sequence[float],
-    velocity: Sequence[float] = (),
-    effort: Sequence[float] = (),
-) -> Any:
+def joint_state(head, names, position, velocity=(), effort=()):
     runs = [np.array(values, dtype=float) for values in (position, velocity, effort)]
     return TYPES.types[JOINT_STATE](head, list(names), *runs)
 
 
-def wrench(head: Any, values: Sequence[float]) -> Any:
+def wrench(head, values):
     vector = TYPES.types["geometry_msgs/msg/Vector3"]
     force, torque = vector(*values[:3]), vector(*values[3:])
     return TYPES.types[WRENCH](head, TYPES.types["geometry_msgs/msg/Wrench"](force, torque))
 
 
-def pose(head: Any, values: Sequence[float]) -> Any:
+def pose(head, values):
     kinds = [TYPES.types[f"geometry_msgs/msg/{name}"] for name in ("Point", "Quaternion", "Pose")]
     return TYPES.types[POSE](head, kinds[2](kinds[0](*values[:3]), kinds[1](*values[3:])))
 
 
-def cdr(message: Any, *, little_endian: bool = True) -> bytes:
+def cdr(message, *, little_endian=True):
     return bytes(TYPES.serialize_cdr(message, message.__msgtype__, little_endian=little_endian))
 
 
-def arm_samples(count: int = 40, seed: int = 1) -> list[Sample]:
+def arm_samples(count=40, seed=1):
     """Joint states and wrenches in turn, log times 2 ms apart, and a pose at times."""
     rng = np.random.default_rng(seed)
     samples = []
@@ -85,20 +77,14 @@ def arm_samples(count: int = 40, seed: int = 1) -> list[Sample]:
     return samples
 
 
-def type_of(topic: str) -> str:
+def type_of(topic):
     """The type that a topic of `arm_samples` has."""
     if topic.endswith("joint_states"):
         return JOINT_STATE
     return POSE if topic.endswith("pose") else WRENCH
 
 
-def write_rosbag2(
-    path: Path,
-    samples: Iterable[Sample],
-    storage: StoragePlugin = StoragePlugin.MCAP,
-    mode: CompressionMode = CompressionMode.NONE,
-    silent: Sequence[str] = (),
-) -> Path:
+def write_rosbag2(path, samples, storage=StoragePlugin.MCAP, mode=CompressionMode.NONE, silent=()):
     """A directory, by the library; `silent` topics have no messages."""
     writer = Writer(path, version=9, storage_plugin=storage)
     writer.set_compression(mode, CompressionFormat.ZSTD)
@@ -120,39 +106,30 @@ STATISTICS, DATA_END = 0x0B, 0x0F
 _COMPRESSORS = {"": bytes, "zstd": zstd.compress, "lz4": lz4.frame.compress}
 
 
-def text(value: str) -> bytes:
+def text(value):
     return struct.pack("<I", len(value.encode())) + value.encode()
 
 
-def record(opcode: int, content: bytes) -> bytes:
+def record(opcode, content):
     return struct.pack("<BQ", opcode, len(content)) + content
 
 
-def schema(number: int, type_name: str) -> bytes:
+def schema(number, type_name):
     content = struct.pack("<H", number) + text(type_name) + text("ros2msg") + text("")
     return record(SCHEMA, content)
 
 
-def channel(number: int, schema_number: int, topic: str, encoding: str = "cdr") -> bytes:
+def channel(number, schema_number, topic, encoding="cdr"):
     content = struct.pack("<HH", number, schema_number) + text(topic) + text(encoding)
     return record(CHANNEL, content + struct.pack("<I", 0))
 
 
-def message(number: int, log_time_ns: int, data: bytes) -> bytes:
+def message(number, log_time_ns, data):
     time = log_time_ns % 2**64
     return record(MESSAGE, struct.pack("<HIQQ", number, 0, time, time) + data)
 
 
-def chunk(
-    records: bytes,
-    first_ns: int,
-    last_ns: int,
-    compression: str = "",
-    *,
-    crc: bool = True,
-    size: int | None = None,
-    packed: bytes | None = None,
-) -> bytes:
+def chunk(records, first_ns, last_ns, compression="", *, crc=True, size=None, packed=None):
     """A chunk; `size` and `packed` may lie."""
     packed = _COMPRESSORS[compression](records) if packed is None else packed
     content = struct.pack(
@@ -165,33 +142,25 @@ def chunk(
     return record(CHUNK, content + text(compression) + struct.pack("<Q", len(packed)) + packed)
 
 
-def index(number: int, entries: Sequence[tuple[int, int]]) -> bytes:
+def index(number, entries):
     pairs = b"".join(struct.pack("<QQ", time % 2**64, at) for time, at in entries)
     return record(INDEX, struct.pack("<HI", number, len(pairs)) + pairs)
 
 
-def statistics(counts: dict[int, int]) -> bytes:
+def statistics(counts):
     pairs = b"".join(struct.pack("<HQ", number, count) for number, count in counts.items())
     head = struct.pack("<QHIIIIQQ", sum(counts.values()), 1, len(counts), 0, 0, 1, 0, 0)
     return record(STATISTICS, head + struct.pack("<I", len(pairs)) + pairs)
 
 
-def mcap(*records: bytes, end: bool = True) -> bytes:
+def mcap(*records, end=True):
     """A file of these records."""
     head = MAGIC + record(HEADER, text("ros2") + text("test"))
     foot = record(DATA_END, bytes(4)) + record(FOOTER, bytes(20)) + MAGIC
     return head + b"".join(records) + (foot if end else b"")
 
 
-def mcap_of(
-    samples: Sequence[Sample],
-    compression: str = "",
-    *,
-    chunk_of: int | None = 10,
-    indexed: bool = True,
-    summary: bool = True,
-    crc: bool = True,
-) -> bytes:
+def mcap_of(samples, compression="", *, chunk_of=10, indexed=True, summary=True, crc=True):
     """A file of chunks of so many messages (None: without chunks), in the samples' order."""
     numbers = {name: k + 1 for k, name in enumerate(dict.fromkeys(s.topic for s in samples))}
     described = b"".join(
@@ -233,7 +202,7 @@ def mcap_of(
 # --- reading ----------------------------------------------------------------------------------
 
 
-def read(path: Path, topics: Sequence[str] | None = None) -> tuple[list[Sample], list[str]]:
+def read(path, topics=None):
     """All messages of a bag, and what is wrong with it."""
     with open_bag(path) as bag:
         names = list(bag.topics) if topics is None else list(topics)
@@ -245,7 +214,7 @@ def read(path: Path, topics: Sequence[str] | None = None) -> tuple[list[Sample],
         return found, bag.problems
 
 
-def read_or_reject(path: Path) -> tuple[list[Sample], list[str]]:
+def read_or_reject(path):
     """The same; a bag that is rejected has no messages, and the reason as its problem."""
     try:
         return read(path)
@@ -253,7 +222,36 @@ def read_or_reject(path: Path) -> tuple[list[Sample], list[str]]:
         return [], [str(error)]
 
 
-def read_by_rosbags(path: Path) -> list[Sample]:
+def read_by_rosbags(path):
     """The same, by the library's own reader."""
     with Reader(path) as reader:
-        return [Sample(c.topic, time, bytes(data)) for c, time, data in reader.messages()]
+        return [Sample(c.topic, time_ns, bytes(data)) for c, time_ns, data in reader.messages()]
+
+
+def messages_by_topic(path):
+    """The same, each topic's for itself."""
+    found: dict[str, list[bytes]] = {}
+    for topic, _, data in read_by_rosbags(path):
+        found.setdefault(topic, []).append(data)
+    return found
+
+
+def assert_arrays_are_those_of_rosbags(recording, samples):
+    """Every joint state and wrench of the samples, with its times, as rosbags decodes it."""
+    for topic, type_name, stamps, logs in (
+        ("/joint_states", JOINT_STATE, recording.joint_stamp_ns, recording.joint_log_ns),
+        ("/wrench_raw", WRENCH, recording.wrench_stamp_ns, recording.wrench_log_ns),
+    ):
+        rows = [sample for sample in samples if sample.topic == topic]
+        sent = [TYPES.deserialize_cdr(sample.data, type_name) for sample in rows]
+        assert logs.tolist() == [sample.log_time_ns for sample in rows]
+        at = [message.header.stamp for message in sent]
+        assert stamps.tolist() == [stamp.sec * 10**9 + stamp.nanosec for stamp in at]
+        if type_name == JOINT_STATE:
+            assert np.array_equal(recording.joints, [m.position for m in sent], equal_nan=True)
+            velocities = [m.velocity for m in sent]
+            assert np.array_equal(recording.joint_velocities, velocities, equal_nan=True)
+        else:
+            parts = [(m.wrench.force, m.wrench.torque) for m in sent]
+            values = [[getattr(p, axis) for p in both for axis in "xyz"] for both in parts]
+            assert np.array_equal(recording.wrenches, values, equal_nan=True)

@@ -100,10 +100,3 @@ def test_a_folder_that_may_not_be_read_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "listdir", reject)
     with pytest.raises(BagError, match=r"secret: can't be read: Permission denied"):
         find_bags([tmp_path])
-
-
-def test_a_bag_of_ros_1_is_told_how_to_convert(tmp_path):
-    path = tmp_path / "x.bag"
-    path.write_bytes(b"#ROSBAG V2.0\n")
-    with pytest.raises(BagError, match="is a bag of ROS 1; convert it: rosbags-convert --src"):
-        find_bags([path])

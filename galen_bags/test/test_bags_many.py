@@ -10,11 +10,11 @@ import subprocess
 import sys
 import tempfile
 import threading
-import time
 from pathlib import Path
 
 import psutil
 import pytest
+from bags_wait import wait_for
 from galen_bags.formats.errors import BagError
 from galen_bags.many import run_many
 from galen_common.command import add_workers
@@ -40,13 +40,6 @@ def work(bag, scale=1):
     if bag.name == "dies":
         os._exit(3)
     raise AssertionError(bag)
-
-
-def wait_for(path):
-    end = time.monotonic() + WAIT_S
-    while not path.exists():
-        assert time.monotonic() < end, f"{path} did not come"
-        time.sleep(0.005)
 
 
 def surroundings(bag):
@@ -278,7 +271,7 @@ def test_an_interrupt_leaves_no_process(tmp_path, end):
     )
     try:
         for bag in bags[:2]:
-            wait_for(bag)
+            wait_for(bag.exists, str(bag))
         children = psutil.Process(process.pid).children(recursive=True)
         assert len(children) >= 2
         if end == "terminal":  # which sends it to all processes

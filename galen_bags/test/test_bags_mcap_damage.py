@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """MCAP files that were cut off, damaged, or made to do harm."""
 
-import random
 import struct
 import tracemalloc
 
@@ -49,13 +48,13 @@ def file(tmp_path):
 
 
 @pytest.mark.parametrize("compression", ["", "zstd", "lz4"])
-@pytest.mark.parametrize("chunk_of", [20, None])
+@pytest.mark.parametrize("chunk_of", [10, None])
 def test_file_that_was_cut_off_anywhere(file, compression, chunk_of):
     """What is read is a prefix of the whole, and it is said that it is one."""
-    samples = arm_samples(24)
+    samples = arm_samples(12)
     whole = mcap_of(samples, compression, chunk_of=chunk_of)
     counts = set()
-    for length in range(0, len(whole) - 8, 47):  # without its last 8 bytes a file still has an end
+    for length in range(0, len(whole) - 8, 97):  # without its last 8 bytes a file still has an end
         found, problems = file(whole[:length])
         assert found == samples[: len(found)]
         expected = "was cut off: it has no end" if length >= 8 else "is empty"
@@ -74,24 +73,6 @@ def test_file_that_is_damaged_between_chunks(file):
         [("/w", 1, CDR)],
         [f"bag.mcap is damaged at byte {at}; what comes after is not read"],
     )
-
-
-@pytest.mark.parametrize("compression", ["", "zstd", "lz4"])
-@pytest.mark.parametrize("crc", [True, False])
-def test_flipped_bytes(file, compression, crc):
-    samples = arm_samples(30)
-    whole = mcap_of(samples, compression, chunk_of=20, crc=crc)
-    allowed = set(samples)
-    rng = random.Random(6)
-    for _ in range(120):
-        data = bytearray(whole)
-        for _ in range(rng.choice([1, 1, 1, 5, 30])):
-            data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
-        found, problems = file(bytes(data))
-        assert all("bag.mcap" in problem and "\n" not in problem for problem in problems)
-        if crc and compression and len(found) == len(samples):
-            # A topic's or type's name in the summary has no checksum.
-            assert {sample[1:] for sample in found} <= {sample[1:] for sample in allowed}
 
 
 def test_a_checksum_that_does_not_fit(file):
@@ -208,9 +189,10 @@ def test_sparse_file_of_a_terabyte(tmp_path):
 
 
 def test_hostile_indexes_cost_nothing(file):
-    content = DESCRIBED + ONE
-    good = chunk(content, 5, 5)
-    for entries in ([(5, 2**64 - 1)], [(5, len(content) - 30)], [(5, k) for k in range(2000)]):
-        assert file(mcap(good, index(1, entries))) == ([("/w", 5, CDR)], [])
+    content = DESCRIBED + ONE + message(1, 5, CDR + ONE)  # the last holds the bytes of a message
+    good, whole = chunk(content, 5, 5), ([("/w", 5, CDR), ("/w", 5, CDR + ONE)], [])
+    size, log_time = len(content), len(DESCRIBED) + 15  # whose 5 looks like a message's opcode
+    for places in ([2**64 - 1], [size - 30], [0], [log_time], [size - len(ONE)], range(2000)):
+        assert file(mcap(good, index(1, [(5, at) for at in places]))) == whole
     lies = record(7, struct.pack("<HI", 1, 2**32 - 1) + bytes(32))
-    assert file(mcap(good, lies, record(7, b""), record(7, b"\0" * 5))) == ([("/w", 5, CDR)], [])
+    assert file(mcap(good, lies, record(7, b""), record(7, b"\0" * 5))) == whole

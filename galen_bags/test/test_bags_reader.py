@@ -27,6 +27,7 @@ from bags_samples import (
 from galen_bags.formats import raw_block
 from galen_bags.formats.bag import open_bag, storage_files
 from galen_bags.formats.errors import BagError
+from galen_bags.formats.files import find_bags
 from galen_bags.formats.mcap_records import zstd
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
@@ -99,11 +100,8 @@ def test_overlap_beyond_the_limit_is_named(tmp_path, monkeypatch):
     third = [Sample("/wrench_raw", T0 + 10**9, first[1].data)]
     path = tmp_path / "overlapping.mcap"
     parts = []
-    described = b"".join(
-        schema(k, WRENCH) + channel(k, k, name)
-        for k, name in enumerate(["/joint_states", "/wrench_raw", "/tracker/tool_pose"], 1)
-    )
     numbers = {"/joint_states": 1, "/wrench_raw": 2, "/tracker/tool_pose": 3}
+    described = b"".join(schema(k, WRENCH) + channel(k, k, name) for name, k in numbers.items())
     for group in (first, second, third):
         content = described + b"".join(message(numbers[s.topic], *s[1:]) for s in group)
         times = [s.log_time_ns for s in group]
@@ -284,7 +282,8 @@ def test_sqlite_messages_left_in_the_journal_are_named(tmp_path):
     )  # fmt: skip
 
 
-def test_a_bag_of_ros1_names_the_command_that_converts_it(tmp_path):
+@pytest.mark.parametrize("opened", [open_bag, lambda path: find_bags([path])])
+def test_a_bag_of_ros1_names_the_command_that_converts_it(tmp_path, opened):
     (tmp_path / "old.bag").write_bytes(b"#ROSBAG V2.0\n")
     with pytest.raises(BagError, match=r"rosbags-convert --src .*old\.bag --dst NEW"):
-        open_bag(tmp_path / "old.bag")
+        opened(tmp_path / "old.bag")

@@ -4,14 +4,13 @@
 import json
 import os
 import signal
-import subprocess
 import time
-from collections.abc import Iterator
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from bags_samples import messages_by_topic, read_by_rosbags
+from bags_wait import wait_for
 from diagnostic_msgs.msg import DiagnosticArray
 from galen_bags.formats.bag import open_bag, robot_description
 from galen_bags.formats.errors import BagError
@@ -38,68 +37,56 @@ from std_msgs.msg import String
 from galen_msgs.msg import DeflectionStamped
 
 S = 1_000_000_000
+SIM_TIME = {"parameter_overrides": [Parameter("use_sim_time", value=True)]}
 NAMES = ("delta_x", "delta_y", "delta_z", "roll", "tilt")
 
 
-def wrench(index: int) -> bytes:
+def wrench(index):
     return wrench_bytes("ft_sensor").fill(S + index, [float(index)] * 6)
 
 
-def joints(index: int) -> bytes:
+def joints(index):
     return joint_state_bytes(NAMES).fill(S + index, [0.5 * index] * 5, [0.0] * 5)
 
 
 @pytest.fixture
-def harness() -> Iterator[Harness]:
+def harness():
     with Harness(lambda context: SingleThreadedExecutor(context=context)) as world:
         yield world
 
 
 @pytest.fixture
-def bag(tmp_path: Path) -> Iterator[GrowingBagWriter]:
+def bag(tmp_path):
     with GrowingBagWriter(tmp_path / "bag") as opened:
         yield opened
 
 
-def start(
-    harness: Harness, bag: GrowingBagWriter, topics: tuple[str, ...], **options: Any
-) -> RecorderNode:
+def start(harness, bag, topics, **options):
     return harness.add(lambda context: RecorderNode(bag, topics, context=context, **options))
 
 
-def publisher(harness: Harness, kind: Any, name: str, qos: Any = STREAM) -> Any:
+def publisher(harness, kind, name, qos=STREAM):
     node = harness.add(lambda context: Node("source", context=context))
     return node.create_publisher(kind, name, qos)
 
 
-def connected(harness: Harness, *publishers: Any) -> None:
+def connected(harness, *publishers):
     harness.wait_for(
         lambda: all(p.get_subscription_count() for p in publishers), 10.0, "the recorder to listen"
     )
 
 
-def wait_recorded(harness: Harness, recorder: RecorderNode, count: int) -> None:
+def wait_recorded(harness, recorder, count):
     harness.wait_for(lambda: recorder.messages == count, 10.0, f"{count} messages in the bag")
 
 
-def end(harness: Harness, recorder: RecorderNode, bag: GrowingBagWriter) -> Path:
+def end(harness, recorder, bag):
     harness.remove(recorder)
     bag.__exit__(None, None, None)
     return bag.path
 
 
-def messages(path: Path) -> dict[str, list[bytes]]:
-    """What the library that wrote it reads: {topic: messages}."""
-    found: dict[str, list[bytes]] = {}
-    with Reader(path) as reader:
-        for connection, _, data in reader.messages():
-            found.setdefault(connection.topic, []).append(bytes(data))
-    return found
-
-
-def test_by_default_the_arm_s_description_is_recorded(
-    harness: Harness, bag: GrowingBagWriter
-) -> None:
+def test_by_default_the_arm_s_description_is_recorded(harness, bag):
     publisher(harness, String, "robot_description", LATCHED).publish(String(data="<robot/>"))
     recorder = harness.add(lambda context: RecorderNode(bag, context=context))
     wait_recorded(harness, recorder, 1)
@@ -108,9 +95,7 @@ def test_by_default_the_arm_s_description_is_recorded(
 
 
 @pytest.mark.parametrize(("duration_s", "end_s"), [("2", 10.0), ("20", 20.0)])
-def test_the_duration_ends_it_where_nothing_comes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, duration_s: str, end_s: float
-) -> None:
+def test_the_duration_ends_it_where_nothing_comes(tmp_path, monkeypatch, duration_s, end_s):
     now_s = [100.0]
     monkeypatch.setattr(record_command.time, "monotonic", lambda: now_s[0])
     options = parse(["-o", str(tmp_path / "bag"), "--duration-s", duration_s])
@@ -118,11 +103,11 @@ def test_the_duration_ends_it_where_nothing_comes(
     with run.bag:
         for after_s, over in ((end_s - 0.1, False), (end_s, True)):
             now_s[0] = 100.0 + after_s
-            assert run._done(node) is over  # type: ignore[arg-type]
+            assert run._done(node) is over
     assert run._ended_by == "duration"
 
 
-def test_bytes_are_as_they_came(harness: Harness, bag: GrowingBagWriter) -> None:
+def test_bytes_are_as_they_came(harness, bag):
     recorder = start(harness, bag, ("wrench_raw", "joint_states", "never"))
     wrenches = publisher(harness, WrenchStamped, "wrench_raw")
     states = publisher(harness, JointState, "joint_states")
@@ -135,18 +120,15 @@ def test_bytes_are_as_they_came(harness: Harness, bag: GrowingBagWriter) -> None
     after_ns = time.time_ns()
     assert recorder.problems() == {"/never": "no publisher was found"}
     path = end(harness, recorder, bag)
-    assert messages(path) == {
+    assert messages_by_topic(path) == {
         "/wrench_raw": [wrench(index) for index in range(200)],
         "/joint_states": [joints(index) for index in range(200)],
     }
-    with Reader(path) as reader:
-        times = [time_ns for _, time_ns, _ in reader.messages()]
-        assert before_ns <= min(times) and max(times) <= after_ns
+    times = [sample.log_time_ns for sample in read_by_rosbags(path)]
+    assert before_ns <= min(times) and max(times) <= after_ns
 
 
-def test_a_type_of_our_own_is_recorded_with_its_definition(
-    harness: Harness, bag: GrowingBagWriter
-) -> None:
+def test_a_type_of_our_own_is_recorded_with_its_definition(harness, bag):
     recorder = start(harness, bag, ("deflection",))
     deflections = publisher(harness, DeflectionStamped, "deflection")
     connected(harness, deflections)
@@ -165,9 +147,7 @@ def test_a_type_of_our_own_is_recorded_with_its_definition(
     assert (read.translation.x, read.extrapolated) == (0.25, True)
 
 
-def test_late_topics_of_any_quality_of_service_are_taken_up(
-    harness: Harness, bag: GrowingBagWriter
-) -> None:
+def test_late_topics_of_any_quality_of_service_are_taken_up(harness, bag):
     recorder = start(harness, bag, ("/latched", "sensor"))
     harness.wait_for(lambda: len(recorder.problems()) == 2, 5.0, "two topics missing")
     latched = publisher(harness, String, "latched", LATCHED)
@@ -178,7 +158,7 @@ def test_late_topics_of_any_quality_of_service_are_taken_up(
     wait_recorded(harness, recorder, 2)
     assert recorder.problems() == {}
     path = end(harness, recorder, bag)
-    assert messages(path)["/sensor"] == [wrench(1)]
+    assert messages_by_topic(path)["/sensor"] == [wrench(1)]
     with Reader(path) as reader:
         offers = {c.topic: c.ext.offered_qos_profiles[0] for c in reader.connections}
     assert offers["/latched"].durability is QosDurability.TRANSIENT_LOCAL
@@ -186,33 +166,25 @@ def test_late_topics_of_any_quality_of_service_are_taken_up(
     assert offers["/sensor"].reliability is QosReliability.BEST_EFFORT
 
 
-def test_topics_without_a_publisher_are_said_at_once_and_when_they_appear(
-    harness: Harness, bag: GrowingBagWriter, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_topics_without_a_publisher_are_said_at_once_and_when_they_appear(harness, bag, capfd):
     heard: list[str] = []
 
-    def wait_for(words: str) -> None:
-        def said() -> bool:
+    def wait_for(words):
+        def said():
             heard.append(capfd.readouterr().err)
             return words in "".join(heard)
 
         harness.wait_for(said, 10.0, words)
 
     publisher(harness, JointState, "joint_states")
-    recorder = start(
-        harness,
-        bag,
-        ("joint_states", "wrench_raw", "imu"),
-        parameter_overrides=[Parameter("use_sim_time", value=True)],
-    )
+    start(harness, bag, ("joint_states", "wrench_raw", "imu"), **SIM_TIME)
     wait_for("no publisher on /wrench_raw, /imu, /clock, without which nothing is written: waiting")
     publisher(harness, WrenchStamped, "wrench_raw")
     wait_for("recording /wrench_raw (geometry_msgs/msg/WrenchStamped)")
     assert "".join(heard).count("no publisher on") == 1
-    end(harness, recorder, bag)
 
 
-def test_all_takes_what_there_is_but_hidden_topics(harness: Harness, bag: GrowingBagWriter) -> None:
+def test_all_takes_what_there_is_but_hidden_topics(harness, bag):
     recorder = harness.add(lambda context: RecorderNode(bag, all_topics=True, context=context))
     wrenches = publisher(harness, WrenchStamped, "left/wrench_raw")
     hidden = publisher(harness, WrenchStamped, "left/_secret")
@@ -224,13 +196,11 @@ def test_all_takes_what_there_is_but_hidden_topics(harness: Harness, bag: Growin
         "the message",
     )
     assert hidden.get_subscription_count() == 0
-    assert messages(end(harness, recorder, bag))["/left/wrench_raw"] == [wrench(3)]
+    assert messages_by_topic(end(harness, recorder, bag))["/left/wrench_raw"] == [wrench(3)]
 
 
-def test_what_can_not_be_recorded_does_not_disturb_the_rest(
-    harness: Harness, bag: GrowingBagWriter, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def uninstalled(type_name: str) -> Any:
+def test_what_can_not_be_recorded_does_not_disturb_the_rest(harness, bag, monkeypatch):
+    def uninstalled(type_name):
         if type_name == "std_msgs/msg/String":
             raise BagError(f"the type {type_name} is not installed here")
         return WrenchStamped
@@ -243,18 +213,13 @@ def test_what_can_not_be_recorded_does_not_disturb_the_rest(
     strange.publish(String(data="x"))
     wrenches.publish(wrench(0))
     wait_recorded(harness, recorder, 1)
-    harness.wait_for(
-        lambda: (
-            recorder.problems()
-            == {"/strange": "not recorded: the type std_msgs/msg/String is not installed here"}
-        ),
-        5.0,
-        "the topic to be reported",
-    )
-    assert list(messages(end(harness, recorder, bag))) == ["/wrench_raw"]
+    harness.wait_for(recorder.problems, 5.0, "the topic to be reported")
+    reason = "not recorded: the type std_msgs/msg/String is not installed here"
+    assert recorder.problems() == {"/strange": reason}
+    assert list(messages_by_topic(end(harness, recorder, bag))) == ["/wrench_raw"]
 
 
-def test_lost_messages_are_counted(harness: Harness, bag: GrowingBagWriter) -> None:
+def test_lost_messages_are_counted(harness, bag):
     """A burst that the queue of 2000 can't hold, while the recorder has no time for it."""
     recorder = start(harness, bag, ("wrench_raw",))
     wrenches = publisher(harness, WrenchStamped, "wrench_raw")
@@ -268,15 +233,13 @@ def test_lost_messages_are_counted(harness: Harness, bag: GrowingBagWriter) -> N
     assert recorder.problems() == {
         "/wrench_raw": f"{counts.lost} of its messages were lost on the way"
     }
-    found = messages(end(harness, recorder, bag))["/wrench_raw"]
+    found = messages_by_topic(end(harness, recorder, bag))["/wrench_raw"]
     assert found[-1] == wrench(2500)
     assert len(found) == counts.messages
 
 
-def test_log_times_are_simulated_time_where_asked(harness: Harness, bag: GrowingBagWriter) -> None:
-    recorder = start(
-        harness, bag, ("wrench_raw",), parameter_overrides=[Parameter("use_sim_time", value=True)]
-    )
+def test_log_times_are_simulated_time_where_asked(harness, bag):
+    recorder = start(harness, bag, ("wrench_raw",), **SIM_TIME)
     wrenches = publisher(harness, WrenchStamped, "wrench_raw")
     clock = publisher(harness, Clock, "/clock")
     connected(harness, wrenches, clock)
@@ -289,13 +252,10 @@ def test_log_times_are_simulated_time_where_asked(harness: Harness, bag: Growing
     wrenches.publish(wrench(1))
     wait_recorded(harness, recorder, 1)
     path = end(harness, recorder, bag)
-    with Reader(path) as reader:
-        assert [(t, bytes(data)) for _, t, data in reader.messages()] == [(77 * S, wrench(1))]
+    assert read_by_rosbags(path) == [("/wrench_raw", 77 * S, wrench(1))]
 
 
-def test_the_bag_changes_and_no_message_is_lost(
-    harness: Harness, bag: GrowingBagWriter, tmp_path: Path
-) -> None:
+def test_the_bag_changes_and_no_message_is_lost(harness, bag, tmp_path):
     recorder = start(harness, bag, ("wrench_raw",))
     wrenches = publisher(harness, WrenchStamped, "wrench_raw")
     connected(harness, wrenches)
@@ -305,16 +265,16 @@ def test_the_bag_changes_and_no_message_is_lost(
         harness.call_in_executor(lambda: [wrenches.publish(wrench(k)) for k in range(1, 20)])
         written = harness.call_in_executor(lambda: recorder.change_bag(second))
         bag.__exit__(None, None, None)
-        first = messages(bag.path)["/wrench_raw"]
+        first = messages_by_topic(bag.path)["/wrench_raw"]
         assert len(first) == written
         wrenches.publish(wrench(20))
         wait_recorded(harness, recorder, 21 - written)
         harness.remove(recorder)
-    then = messages(second.path)["/wrench_raw"]
+    then = messages_by_topic(second.path)["/wrench_raw"]
     assert [*first, *then] == [wrench(k) for k in range(21)]
 
 
-def test_between_two_looks_the_simulated_clock_runs_evenly() -> None:
+def test_between_two_looks_the_simulated_clock_runs_evenly():
     times = SimulatedTimes()
     assert times.at(5) == 0  # it is not known yet
     times.look(1000, 0)
@@ -330,7 +290,7 @@ def test_between_two_looks_the_simulated_clock_runs_evenly() -> None:
     assert times.at(4500) == S
 
 
-def test_diagnostics_tell_what_is_missing(harness: Harness, bag: GrowingBagWriter) -> None:
+def test_diagnostics_tell_what_is_missing(harness, bag):
     recorder = start(harness, bag, ("wrench_raw", "joint_states"))
     first = publisher(harness, WrenchStamped, "wrench_raw")
     second = publisher(harness, WrenchStamped, "wrench_raw")
@@ -340,18 +300,13 @@ def test_diagnostics_tell_what_is_missing(harness: Harness, bag: GrowingBagWrite
     connected(harness, first, second)
     first.publish(wrench(0))
 
-    def told() -> Any:
-        status = heard[-1] if heard else None
-        values = {item.key: item.value for item in status.values} if status else {}
-        return (
-            status
-            and status.level == bytes([Level.WARN])
-            and "/joint_states: no publisher was found" in status.message
-            and "/wrench_raw: it had 2 publishers" in status.message
-            and values["messages /wrench_raw"] == "1"
-        )
+    wanted = ("/joint_states: no publisher was found", "/wrench_raw: it had 2 publishers")
 
-    harness.wait_for(told, 10.0, "a warning")
+    def told():
+        return [status for status in heard if all(words in status.message for words in wanted)]
+
+    (status, *_) = harness.wait_for(told, 10.0, "a warning")
+    assert status.level == bytes([Level.WARN])
     end(harness, recorder, bag)
 
 
@@ -379,22 +334,16 @@ rclpy.spin(node)
 """
 
 
-def record(started: Any, path: Path, *options: str) -> subprocess.Popen[str]:
-    process: subprocess.Popen[str] = started(
-        "-m", "galen_bags.ros.record", "wrench_raw", "-o", str(path), *options
-    )
-    return process
+def record(started, path, *options):
+    return started("-m", "galen_bags.ros.record", "wrench_raw", "-o", str(path), *options)
 
 
-def wait_growing(path: Path, size_bytes: int = 4000) -> None:
+def wait_growing(path, size_bytes=4000):
     file = path / f"{path.name}.mcap"
-    deadline = time.monotonic() + 30.0
-    while not file.exists() or file.stat().st_size < size_bytes:
-        assert time.monotonic() < deadline, "nothing was recorded"
-        time.sleep(0.05)
+    wait_for(lambda: file.exists() and file.stat().st_size >= size_bytes, "a message in the bag")
 
 
-def check_run_of_wrenches(found: list[bytes]) -> None:
+def check_run_of_wrenches(found):
     """A run without gaps of what the source publishes, counted from some number."""
     first = int.from_bytes(found[0][8:12], "little")  # nanoseconds of the stamp
     assert found == [wrench(first + k) for k in range(len(found))]
@@ -402,9 +351,7 @@ def check_run_of_wrenches(found: list[bytes]) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("limit", [(), ("--duration-s", "1")], ids=["signal", "duration"])
-def test_a_signal_or_the_duration_closes_the_bag(
-    started: Any, tmp_path: Path, limit: tuple[str, ...]
-) -> None:
+def test_a_signal_or_the_duration_closes_the_bag(started, tmp_path, limit):
     started("-c", SOURCE)
     recorder = record(started, tmp_path / "bag", "--json", *limit)
     if not limit:
@@ -413,7 +360,7 @@ def test_a_signal_or_the_duration_closes_the_bag(
     out, err = recorder.communicate(timeout=20.0)
     assert recorder.returncode == 0, err
     result = json.loads(out)
-    found = messages(tmp_path / "bag")["/wrench_raw"]
+    found = messages_by_topic(tmp_path / "bag")["/wrench_raw"]
     check_run_of_wrenches(found)
     assert result["ended_by"] == ("duration" if limit else "signal")
     assert result["messages"] == result["topics"][0]["messages"] == len(found)
@@ -423,7 +370,7 @@ def test_a_signal_or_the_duration_closes_the_bag(
 
 
 @pytest.mark.slow
-def test_a_kill_leaves_all_but_the_last_second(started: Any, tmp_path: Path) -> None:
+def test_a_kill_leaves_all_but_the_last_second(started, tmp_path):
     started("-c", SOURCE)
     recorder = record(started, tmp_path / "bag")
     wait_growing(tmp_path / "bag", 20_000)
@@ -438,7 +385,7 @@ def test_a_kill_leaves_all_but_the_last_second(started: Any, tmp_path: Path) -> 
 
 
 @pytest.mark.slow
-def test_a_full_disk_ends_it_with_one_line(started: Any, tmp_path: Path) -> None:
+def test_a_full_disk_ends_it_with_one_line(started, tmp_path):
     """A limit on the size of files stands in for the disk: the system rejects the write."""
     program = (
         "import resource, sys; from galen_bags.ros.record import main;"
@@ -461,7 +408,7 @@ def test_a_full_disk_ends_it_with_one_line(started: Any, tmp_path: Path) -> None
     assert f"{tmp_path / 'bag'}: {len(found)} messages" in out
 
 
-def test_wrong_arguments_are_said(capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_arguments_are_said(capsys):
     for arguments, said in (
         (["/a b"], "'/a b' is no name of a topic: topic name must not contain"),
         (["-a", "wrench_raw"], "--all records all topics"),

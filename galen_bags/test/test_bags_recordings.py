@@ -4,9 +4,8 @@
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
-from bags_samples import JOINT_STATE, TYPES, WRENCH, read, read_by_rosbags
+from bags_samples import assert_arrays_are_those_of_rosbags, read, read_by_rosbags
 from galen_bags.arrays.arm_recording import read_arm
 from galen_model.arm.arm import Arm
 from galen_model.arm.description import read_arm as read_description
@@ -39,21 +38,4 @@ def test_every_message_of_the_recordings(bags):
         found, problems = read(path)
         assert found == expected and problems == [], path
         recording = read_arm(path, arm=arm_of(path.parent))
-        for topic, type_name, stamps, logs in (
-            ("/joint_states", JOINT_STATE, recording.joint_stamp_ns, recording.joint_log_ns),
-            ("/wrench_raw", WRENCH, recording.wrench_stamp_ns, recording.wrench_log_ns),
-        ):
-            rows = [sample for sample in expected if sample.topic == topic]
-            sent = [TYPES.deserialize_cdr(sample.data, type_name) for sample in rows]
-            assert logs.tolist() == [sample.log_time_ns for sample in rows]
-            assert stamps.tolist() == [
-                m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in sent
-            ]
-            if type_name == JOINT_STATE:
-                assert np.array_equal(recording.joints, [m.position for m in sent], equal_nan=True)
-                velocities = [m.velocity for m in sent]
-                assert np.array_equal(recording.joint_velocities, velocities, equal_nan=True)
-            else:
-                parts = [(m.wrench.force, m.wrench.torque) for m in sent]
-                values = [[getattr(p, axis) for p in both for axis in "xyz"] for both in parts]
-                assert np.array_equal(recording.wrenches, values, equal_nan=True)
+        assert_arrays_are_those_of_rosbags(recording, expected)

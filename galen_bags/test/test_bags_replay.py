@@ -1,28 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
 """The timing of a replay, by a clock that the tests turn themselves."""
 
-import time
-from collections.abc import Callable, Iterator
-
 import pytest
+from bags_wait import wait_for
 from galen_bags.formats.errors import BagError
-from galen_bags.formats.raw_block import Messages, pack
+from galen_bags.formats.raw_block import pack
 from galen_bags.timing import BagClock, Playlist, window
 
 S = 1_000_000_000
 MS = 1_000_000
 
 
-def block(times_ns: list[int]) -> Messages:
+def block(times_ns):
     return pack([0] * len(times_ns), times_ns, [b"%d" % time_ns for time_ns in times_ns])
 
 
-def times(blocks: Iterator[Messages]) -> list[int]:
+def times(blocks):
     return [int(time_ns) for each in blocks for time_ns in each.log_time_ns]
 
 
 @pytest.mark.parametrize("rate", [0.25, 1.0, 8.0])
-def test_bag_time_runs_at_the_rate(rate: float) -> None:
+def test_bag_time_runs_at_the_rate(rate):
     timeline = BagClock(rate)
     timeline.start(5 * S, 100.0)
     assert timeline.advance(100.0) == 5 * S
@@ -32,7 +30,7 @@ def test_bag_time_runs_at_the_rate(rate: float) -> None:
     assert timeline.lag_s == 0.0
 
 
-def test_a_stall_is_not_caught_up_but_said() -> None:
+def test_a_stall_is_not_caught_up_but_said():
     timeline = BagClock(2.0, max_step_s=0.1)
     timeline.start(0, 10.0)
     assert timeline.advance(10.1) == pytest.approx(200 * MS, abs=2)
@@ -41,7 +39,7 @@ def test_a_stall_is_not_caught_up_but_said() -> None:
     assert timeline.lag_s == pytest.approx(2.9)
 
 
-def test_hold_goes_on_from_what_was_not_published() -> None:
+def test_hold_goes_on_from_what_was_not_published():
     timeline = BagClock(2.0)
     timeline.start(0, 0.0)
     assert timeline.advance(0.05) == pytest.approx(100 * MS, abs=2)
@@ -61,7 +59,7 @@ def test_hold_goes_on_from_what_was_not_published() -> None:
         (0, 0, []),
     ],
 )
-def test_a_window_of_a_bag(first_ns: int, last_ns: int | None, wanted: list[int]) -> None:
+def test_a_window_of_a_bag(first_ns, last_ns, wanted):
     blocks = [block([1, 2]), block([3]), block([]), block([4, 5, 6])]
     kept = list(window(blocks, first_ns, last_ns))
     assert times(iter(kept)) == wanted
@@ -70,14 +68,7 @@ def test_a_window_of_a_bag(first_ns: int, last_ns: int | None, wanted: list[int]
     ]
 
 
-def wait_for(predicate: Callable[[], object]) -> None:
-    deadline = time.monotonic() + 10.0
-    while not predicate():
-        assert time.monotonic() < deadline
-        time.sleep(0.001)
-
-
-def played(playlist: Playlist) -> list[bytes]:
+def played(playlist):
     found = []
     while True:
         wait_for(lambda: playlist.peek_ns() is not None or playlist.ended)
@@ -86,15 +77,15 @@ def played(playlist: Playlist) -> list[bytes]:
         found.append(playlist.pop()[2])
 
 
-def test_a_playlist_is_all_messages_in_order() -> None:
+def test_a_playlist_is_all_messages_in_order():
     blocks = [block([k, k + 1]) for k in range(0, 40, 2)] + [block([])]
     playlist = Playlist(lambda: iter(blocks))
     assert played(playlist) == [b"%d" % k for k in range(40)]
     playlist.close()
 
 
-def test_an_error_of_reading_comes_out() -> None:
-    def broken() -> Iterator[Messages]:
+def test_an_error_of_reading_comes_out():
+    def broken():
         yield block([1])
         raise BagError("x.mcap: can't be read")
 

@@ -4,19 +4,26 @@
 from dataclasses import dataclass
 
 import numpy as np
+from galen_deflection.collection.plan import CollectionParameters
 from galen_deflection.models.springs import Springs
 from galen_model.arm.galen import GALEN
 from galen_model.registration import Transform
-from galen_model.rotation import rotvec_to_matrix
+from push_bag import BASE_IN_TRACKER, BASE_MARKER
 
 STEP_S = 0.01
 STEP_NS = 10_000_000
 TIP = np.array([0.18, 0.01, 0.05])
-BASE_IN_TRACKER = Transform(rotvec_to_matrix([0.1, 2.9, 0.3]), np.array([0.15, -0.35, 1.8]))
-BASE_MARKER = Transform(rotvec_to_matrix([0.05, -0.1, 0.7]), np.array([0.32, 0.21, 0.05]))
 BASE_POSE = BASE_IN_TRACKER @ BASE_MARKER
 TRACKER_EVERY = 3
 SPRINGS = Springs(TIP, arm=GALEN)
+
+
+@dataclass(frozen=True)
+class Impatient(CollectionParameters):
+    overload_share = 1.5
+    release_timeout_s = 1.0
+    push_edge_s = 0.2
+    max_left_out_in_a_row = 3
 
 
 class FakeArm:
@@ -32,13 +39,11 @@ class FakeArm:
         self.offset = np.array([0.05, -0.03, 0.02, 0.002, 0.0, -0.001])  # the wrench's own zero
         self.noise_n = 0.02
         self.marker_hidden = False
-        self.marker_frozen = False
         self.base_shift = np.zeros(6)
         self.skip_ns = 0  # added once to the next stamp
         self._from = self._to = self.joints.copy()
         self._progress, self._duration = 1.0, 1.0
         self._known = None
-        self._last_pose = None
         self._steps = 0
 
     def move_to(self, joints, duration_s):
@@ -94,14 +99,11 @@ class FakeArm:
         return self._known
 
     def _tool_pose(self):
-        if self.marker_frozen and self._last_pose is not None:
-            return self._last_pose
         here = self._here()
         tip = here.tip
         if here.compliance is not None and np.any(self.load):
             tip = tip.displaced(here.compliance @ self.load)
-        self._last_pose = self._seen(BASE_IN_TRACKER @ tip)
-        return self._last_pose
+        return self._seen(BASE_IN_TRACKER @ tip)
 
     def _seen(self, pose):
         noise = 3e-5 * self.random.standard_normal(3)

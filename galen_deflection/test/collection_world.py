@@ -52,7 +52,6 @@ class CollectionWorld:
         self.node = self._add(CollectionNode, values | sim | QUICK | changes)
         self.client_node = harness.add(lambda context: Node("client", context=context))
         self.client = ActionClient(self.client_node, CollectPushes, "collect_pushes")
-        self.feedback = []
         harness.wait_for(self.client.server_is_ready, 10.0, "the action server")
 
     def _add(self, kind, values):
@@ -66,13 +65,9 @@ class CollectionWorld:
             "name": "monday", "tool": TOOL, "push_by_service": True, "positions": POSITIONS,
             "forces_n": [8.0],
         }  # fmt: skip
+        asked = CollectPushes.Goal(**goal | fields)
         return self.harness.answer_of(
-            lambda: self.client.send_goal_async(
-                CollectPushes.Goal(**goal | fields),
-                feedback_callback=lambda m: self.feedback.append(m.feedback),
-            ),
-            10.0,
-            "an answer to the goal",
+            lambda: self.client.send_goal_async(asked), 10.0, "an answer to the goal"
         )
 
     def cancel(self, handle):
@@ -82,11 +77,6 @@ class CollectionWorld:
         """Wait for the goal's result; return status and result."""
         answer = self.harness.answer_of(handle.get_result_async, timeout_s, "the goal's result")
         return answer.status, answer.result
-
-    def wait_for_state(self, state, timeout_s=30.0):
-        self.harness.wait_for(
-            lambda: self.feedback and self.feedback[-1].state == state, timeout_s, state.name
-        )
 
     @property
     def left(self):

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Models with hysteresis and without, made by hand: no fit, no file of recordings."""
 
+from dataclasses import replace
+
 import numpy as np
-from deflection_synthetic import NOISE, TIP_M
+from deflection_synthetic import NOISE, POSITIONS, TIP_M, recording
 from galen_deflection.models.interface import FittedRange
 from galen_deflection.models.spring_model import Operator, SpringBasis, SpringModel
 from galen_model.arm.galen import GALEN
@@ -14,6 +16,20 @@ OPERATORS = (
 )
 WEIGHTS = (3e-4, 4e-4, 2e-6)
 JOINT_SPREAD = np.array([0.15, 0.15, 0.15, 1.6, 1.1])
+
+
+def offline(model, wrenches, joints, segment=0):
+    """`predict` of samples with these wrenches and joints, the second method for a stream."""
+    size = len(wrenches)
+    some = recording(rate_hz=1.0, positions=POSITIONS[:1]).rows(np.zeros(size, dtype=int))
+    return model.predict(
+        replace(
+            some,
+            segment=np.full(size, segment),
+            joints=np.asarray(joints, dtype=float),
+            wrench=np.asarray(wrenches, dtype=float),
+        )
+    )
 
 
 def made_model(hysteresis=True, tip_m=TIP_M, softer=1.0):

@@ -12,19 +12,21 @@ JOINTS = np.array([0.03, -0.05, 0.45, 0.8, -0.6])
 NOISE = np.array([3e-5, 3e-5, 3e-5, 1e-4, 1e-4, 1e-4])
 
 
-def make_samples(at_tip, deflection, *, segment=None, position=None, noise=NOISE, period_s=0.01):
-    """Samples with these wrenches (n, 6) at the tip in base_link."""
+def make_samples(
+    at_tip, deflection, *, joints=JOINTS, segment=0, position=0, set_number=0, noise=NOISE
+):
+    """Samples with these wrenches (n, 6) at the tip in base_link, at one place."""
     at_tip = np.asarray(at_tip, dtype=float)
     count = len(at_tip)
-    rotation, origin = GALEN.sensor_pose(JOINTS)
-    _, tip = GALEN.tip_pose(JOINTS, TIP)
+    rotation, origin = GALEN.sensor_pose(joints)
+    _, tip = GALEN.tip_pose(joints, TIP)
     wrench = move_wrench(at_tip, rotation.T, rotation.T @ (tip - origin))
     return DeflectionSamples(
-        stamp_ns=1_700_000_000_000_000_000 + np.arange(count) * round(period_s * 1e9),
-        segment=np.zeros(count, dtype=int) if segment is None else np.asarray(segment),
-        position=np.zeros(count, dtype=int) if position is None else np.asarray(position),
-        set_number=np.zeros(count, dtype=int),
-        joints=np.tile(JOINTS, (count, 1)),
+        stamp_ns=1_700_000_000_000_000_000 + np.arange(count) * 10_000_000,
+        segment=np.full(count, segment),
+        position=np.full(count, position),
+        set_number=np.full(count, set_number),
+        joints=np.tile(joints, (count, 1)),
         wrench=wrench,
         deflection=np.asarray(deflection, dtype=float),
         tip_m=TIP,

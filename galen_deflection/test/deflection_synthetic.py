@@ -6,6 +6,7 @@ loads. Its slope falls off smoothly where that of plays has corners, and also on
 smooth operators go straight; and its loops are not congruent.
 """
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -62,21 +63,18 @@ def dahl(load, stiffness, friction, steps=8, share=10.0):
     load.
     """
     sigma = share * stiffness
-    x, f, now = 0.0, 0.0, 0.0
+    f, now = 0.0, 0.0
     result = np.empty_like(load)
-    for k, target in enumerate(load):
+    for k, target in enumerate(load.tolist()):
         step = (target - now) / steps
-        sign = np.sign(step)
-        for _ in range(steps):
+        sign = math.copysign(1.0, step)
+        for _ in range(steps if step else 0):
             slope = sigma * (1.0 - f * sign / friction)
             dx = step / (stiffness + slope)
             # the exact change of f over dx
-            f = sign * friction + (f - sign * friction) * np.exp(-sigma * abs(dx) / friction)
-            x += dx
-        # take what the steps lost: the load is the sum of both
-        x = (target - f) / stiffness
+            f = sign * friction + (f - sign * friction) * math.exp(-sigma * abs(dx) / friction)
         now = target
-        result[k] = x
+        result[k] = (target - f) / stiffness  # the load is the sum of both
     return result
 
 

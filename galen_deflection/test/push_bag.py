@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from deflection_synthetic import NOISE, POSITIONS
 from galen_bags.formats.writer import BagWriter
 from galen_common.cdr import joint_state_bytes, pose_bytes, wrench_bytes
 from galen_model.arm.arm import Arm
@@ -18,23 +19,10 @@ from galen_model.rotation import matrix_to_quaternion, rotvec_to_matrix
 
 ROOT = Path(__file__).resolve().parents[2]
 TOOL = read_calibration(ROOT / "bags" / "tools" / "retractor.json", arm=GALEN)
-POSITIONS = np.array(
-    [
-        [0.00, 0.00, 0.408, 0.0, 0.0],
-        [0.06, -0.05, 0.43, 0.7, -0.4],
-        [-0.07, 0.04, 0.37, -0.9, 0.5],
-        [0.03, 0.07, 0.40, 0.3, 0.8],
-    ]
-)
 NS = 1_000_000_000
 START_NS = 1_700_000_000 * NS
-JOINTS, WRENCH, TOOL_POSE, BASE_POSE = (
-    "/joint_states",
-    "/wrench_raw",
-    "/tracker/tool_pose",
-    "/tracker/base_pose",
-)
-NOISE = np.array([0.03e-3] * 3 + [0.1e-3] * 3)
+JOINTS, WRENCH = "/joint_states", "/wrench_raw"
+TOOL_POSE, BASE_POSE = "/tracker/tool_pose", "/tracker/base_pose"
 BASE_IN_TRACKER = Transform(rotvec_to_matrix([0.1, 2.9, 0.3]), np.array([0.15, -0.35, 1.8]))
 BASE_MARKER = Transform(rotvec_to_matrix([0.05, -0.1, 0.7]), np.array([0.32, 0.21, 0.05]))
 
@@ -65,11 +53,7 @@ class Scene:
     push_s: float = 0.8
     pause_s: float = 0.3
     gap_s: float = 1.0
-    pushes: tuple[tuple[float, ...], ...] = (
-        (8.0, 0.0, 0.0),
-        (0.0, -8.0, 0.0),
-        (0.0, 0.0, 8.0),
-    )
+    pushes: tuple[tuple[float, ...], ...] = ((8.0, 0.0, 0.0), (0.0, -8.0, 0.0), (0.0, 0.0, 8.0))
     joint_rate_hz: float = 100.0
     wrench_rate_hz: float = 120.0
     tracker_rate_hz: float = 60.0
@@ -124,11 +108,9 @@ class Scene:
         joints = self.joints_at(times) + self.joint_zeros
         tip = Transform(*self.arm.tip_pose(joints, self.tool.tip_m))
         tip = tip.displaced(self.deflection_at(times))
-        many = np.zeros((len(times), 1))
-        offset = _repeated(self.tool_marker, many)
-        made[TOOL_POSE] = self._seen(times, tip @ offset, rng)
+        made[TOOL_POSE] = self._seen(times, tip @ repeated(self.tool_marker, len(times)), rng)
         times = self._times(self.tracker_rate_hz, 0.0055)
-        made[BASE_POSE] = self._seen(times, _repeated(BASE_MARKER, np.zeros((len(times), 1))), rng)
+        made[BASE_POSE] = self._seen(times, repeated(BASE_MARKER, len(times)), rng)
         return made
 
     def deflection_at(self, time_s: np.ndarray) -> np.ndarray:
@@ -144,7 +126,7 @@ class Scene:
         return np.arange(first_s, self.length_s - self.gap_s, 1.0 / rate_hz)
 
     def _seen(self, times: np.ndarray, poses: Transform, rng: np.random.Generator) -> Topic:
-        seen = _repeated(BASE_IN_TRACKER, np.zeros((len(times), 1))) @ poses
+        seen = repeated(BASE_IN_TRACKER, len(times)) @ poses
         seen = seen.displaced(rng.standard_normal((len(times), 6)) * NOISE)
         return _topic(times, np.hstack([seen.translation, matrix_to_quaternion(seen.rotation)]))
 
@@ -196,5 +178,7 @@ def _topic(times: np.ndarray, values: np.ndarray) -> Topic:
     return Topic(stamp_ns, stamp_ns + 200_000, values)
 
 
-def _repeated(one: Transform, many: np.ndarray) -> Transform:
-    return Transform(one.rotation + many[..., None], one.translation + many)
+def repeated(one: Transform, count: int) -> Transform:
+    """The same transform so many times."""
+    rotation = np.broadcast_to(one.rotation, (count, 3, 3))
+    return Transform(rotation, np.broadcast_to(one.translation, (count, 3)))

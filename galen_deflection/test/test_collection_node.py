@@ -24,7 +24,7 @@ from galen_deflection.models.spring_fit import fit_stiffness
 from galen_deflection.models.springs import kinds, tip_wrench
 from galen_deflection.ros.collect import format_result, parse, result_fields
 from galen_deflection.ros.recorder import BagRecording
-from galen_deflection.scoring.cross_check import report_splits, sets_of
+from galen_deflection.scoring.cross_check import sets_of
 from galen_model.arm.galen import GALEN
 from galen_model.files.calibration_file import read_calibration
 from galen_ros.node.testing import Harness
@@ -44,12 +44,9 @@ def test_goals_that_make_no_sense_end_at_once_with_the_reason(idle):
     (idle.recordings / "taken").mkdir(parents=True)
     for fields, code, words in (
         ({"name": "../x"}, ErrorCode.INVALID_NAME, "recording's name '../x'"),
-        ({"tool": "a/b"}, ErrorCode.INVALID_NAME, "tool name 'a/b'"),
         ({"tool": "drill"}, ErrorCode.TOOL_FILE, "drill.json"),
         ({"name": "taken"}, ErrorCode.WRITE_FAILED, "taken: is there already"),
         ({"positions": [0.5] * 5}, ErrorCode.OUT_OF_REACH, "position 1: delta_x = 0.5 m"),
-        ({"positions": [0.1] * 4}, ErrorCode.BAD_INPUT, "4 numbers"),
-        ({"positions": [math.nan] * 5}, ErrorCode.OUT_OF_REACH, "nan"),
         ({"forces_n": [30.0]}, ErrorCode.BAD_INPUT, "30 N along +x"),
         ({"sets": 200}, ErrorCode.BAD_INPUT, "sets is 200"),
     ):
@@ -97,7 +94,6 @@ def test_error_codes_and_states_are_the_action_s():
 @pytest.mark.parametrize(
     "arguments",
     [
-        [],
         ["monday"],
         ["../x", "--tool", "retractor"],
         ["monday", "--tool", "a b"],
@@ -189,10 +185,6 @@ def test_from_the_simulated_arm_to_the_compliances_of_its_joints(tmp_path):
     measured = measure_deflection(recording)
     samples = measured.samples
     assert sets_of(samples) == {0: [0, 1], 1: [0, 1]}
-    for split in report_splits(samples):
-        for part, count in ((~split.check, 3), (split.check, 1)):
-            picked = np.stack([samples.position[part], samples.set_number[part]], axis=1)
-            assert len(np.unique(picked, axis=0)) == count
     # A busy machine stalls the simulation, which reading takes for jumps of the stamps.
     assert len(find_pushes(samples, tip_wrench(samples))) >= 12
 
@@ -201,12 +193,6 @@ def test_from_the_simulated_arm_to_the_compliances_of_its_joints(tmp_path):
     assert model.unresolved == ()
     assert np.all(model.std < 0.05 * nominal)
     assert np.all(np.abs(model.values - nominal) < 4.0 * model.std)
-
-
-def messages_recorded(node):
-    """So far, by the goal that it has now: one that has none leaves nothing."""
-    goal = node._goal
-    return goal.recording.messages if goal is not None and goal.recording is not None else 0
 
 
 @pytest.mark.slow
@@ -236,12 +222,6 @@ def test_ctrl_c_of_the_client_leaves_a_readable_bag_named_as_unfinished(tmp_path
         assert process.returncode == 130, error
         assert "CANCELED" in error and "monday.unfinished" in error
         assert world.left == ["monday.unfinished"]
-        # Another try with the same name is another folder.
-        again = world.send()
-        harness.wait_for(lambda: messages_recorded(world.node) > 0, 60.0, "a recorded message")
-        harness.remove(world.node)
-        assert world.left == ["monday.unfinished", "monday.unfinished-2"]
-        assert again.accepted
     folder = tmp_path / "recordings" / "monday.unfinished"
     content = json.loads((folder / "collection.json").read_text())
     assert content["error"]["code"] == "CANCELED"

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from collection_fake_arm import TIP
+from collection_fake_arm import TIP, Impatient
 from galen_deflection.collection.plan import (
     CollectionParameters,
     ErrorCode,
@@ -92,11 +92,6 @@ def test_a_single_position_may_have_a_single_set():
 # --- one push -----------------------------------------------------------------------------------
 
 
-class Impatient(CollectionParameters):
-    overload_share = 1.5
-    release_timeout_s = 1.0
-
-
 PUSH_LIMITS = Impatient(hold_s=0.3, rest_s=0.2)
 
 
@@ -122,10 +117,16 @@ def steps(*parts, axis=1, aside=0.0):
     return loads
 
 
-def test_a_push_as_asked():
-    watch, states = watched(steps((0, 5), (-3, 5), (-5.5, 18), (0, 20)))
+def test_a_push_as_asked_that_is_held_anew_where_it_breaks_off():
+    watch, states = watched(steps((0, 5), (-3, 5), (-5.5, 5), (-3, 5), (-5.5, 18), (0, 20)))
     assert watch.outcome == ""
-    assert states == [State.PUSH, State.HOLD, State.RELEASE, State.REST]
+    assert states == [*[State.PUSH, State.HOLD] * 2, State.RELEASE, State.REST]
+
+
+def test_a_torque_beside_a_force_does_not_matter_where_the_hand_takes_hold():
+    loads = steps((0, 5), (-5.5, 18), (0, 20))
+    loads[:, 4] = 0.1 * (loads[:, 1] < 0.0)
+    assert watched(loads)[0].outcome == ""
 
 
 @pytest.mark.parametrize(
@@ -207,6 +208,9 @@ def test_what_is_there_is_not_written_over(tmp_path):
     with pytest.raises(DeflectionError, match="tuesday: is there already"):
         folder.close({}, finished=True)
     assert (tmp_path / "tuesday.unfinished" / "tool.json").exists()
+    (tmp_path / "tuesday").rmdir()  # another try is another folder
+    CollectionFolder(tmp_path, "tuesday").make(TOOL)
+    assert (tmp_path / "tuesday.unfinished-2" / "tool.json").exists()
 
 
 def test_a_place_that_can_not_be_written_is_named(tmp_path):

@@ -94,7 +94,7 @@ def pushes(seed=0, stiffness=STIFFNESS, positions=POSITIONS, kept=0.0, axes=rang
 def test_unknown_stiffnesses_of_all_joints_come_back_within_their_covariance():
     """Errors against the Cramer-Rao bound, which the samples' own design gives."""
     squares = []
-    for seed in range(20):
+    for seed in range(12):
         samples, _ = pushes(seed)
         model = KINDS["joint_stiffness"].fit(samples, None)
         assert [p.name for p in model.basis.parameters] == [f"1/k_{n}" for n in ARM.joint_names]
@@ -112,23 +112,32 @@ def test_unknown_stiffnesses_of_all_joints_come_back_within_their_covariance():
         information += 7.0 * design.T @ design
     bound = np.sqrt(np.diag(np.linalg.inv(information)))
     assert np.all(model.std > 0.9 * bound) and np.all(model.std < 1.4 * bound)
-    assert 70.0 < sum(squares) < 165.0  # chi-squared with 120 degrees of freedom, 99.7 %
+    assert 37.0 < sum(squares) < 109.0  # chi-squared with 72 degrees of freedom, 99.7 %
 
 
-def test_a_fitted_model_predicts_what_pinocchio_s_jacobian_says():
-    samples, _ = pushes(1)
-    model = KINDS["joint_stiffness"].fit(samples, None)
-    elsewhere, _ = pushes(2, 1.0 / model.values, positions=[BENT + 0.1])
-    _, clean = pushes(2, 1.0 / model.values, positions=[BENT + 0.1])
+@pytest.fixture(scope="module")
+def model():
+    return KINDS["joint_stiffness"].fit(pushes(1)[0], None)
+
+
+def test_a_fitted_model_predicts_what_pinocchio_s_jacobian_says(model):
+    elsewhere, clean = pushes(2, 1.0 / model.values, positions=[BENT + 0.1])
     np.testing.assert_allclose(model.predict(elsewhere).mean, clean, rtol=0, atol=1e-12)
     stiff = dict(zip(ARM.joint_names, 1.0 / model.values, strict=True))
     own = ARM.with_stiffness(stiff).deflection(elsewhere.joints[0], elsewhere.wrench[80], TIP_M)
     np.testing.assert_allclose(own, clean[80], rtol=0, atol=1e-12)
 
 
-def test_one_pose_is_calculated_as_many_are():
-    joints = np.random.default_rng(3).uniform(-2.5, 2.5, (30, 6))
-    one, many = Springs(TIP_M, ARM), Springs(TIP_M, ARM).geometry(joints)
+@pytest.mark.parametrize(
+    ("arm", "spread"),
+    [(GALEN, [0.1, 0.1, 0.1, np.pi, np.pi / 2]), (ARM, 2.5)],
+    ids=["galen", "six"],
+)
+def test_one_pose_is_calculated_as_many_are(arm, spread):
+    """Two ways to the same numbers, also where joints come again after others."""
+    joints = arm.home + np.random.default_rng(3).uniform(-1, 1, (60, len(arm.joints))) * spread
+    joints = joints[[0, 0, 1, 2, 2, 0, *range(60)]]
+    one, many = Springs(TIP_M, arm), Springs(TIP_M, arm).geometry(joints)
     for k in range(len(joints)):
         for ours, theirs in zip(one.geometry(joints[k : k + 1])[:3], many[:3], strict=True):
             np.testing.assert_allclose(ours[0], theirs[k], rtol=0, atol=1e-13)
@@ -160,10 +169,8 @@ def test_a_joint_that_nothing_loads_stays_rigid_and_is_named():
     assert all(model.std[names.index(name)] == pytest.approx(5e-4) for name in level)
 
 
-def test_a_model_s_file_names_its_arm_and_is_rejected_on_another(tmp_path):
-    samples, _ = pushes(6)
+def test_a_model_s_file_names_its_arm_and_is_rejected_on_another(tmp_path, model):
     path = tmp_path / "six.json"
-    model = KINDS["joint_stiffness"].fit(samples, None)
     write_model(path, model)
     np.testing.assert_array_equal(read_model(path, ARM).values, model.values)
     with pytest.raises(

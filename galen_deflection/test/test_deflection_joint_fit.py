@@ -19,15 +19,7 @@ from galen_model.transmission import (
     time_blocks,
     whole_runs,
 )
-from joint_synthetic import (
-    LOST_RAD,
-    NOISE_RAD,
-    STIFFNESS,
-    dahl_run,
-    lost_run,
-    motion,
-    spring_run,
-)
+from joint_synthetic import LOST_RAD, NOISE_RAD, STIFFNESS, dahl_run, lost_run, motion, spring_run
 
 
 def within(found, true, sigmas=3.0):

@@ -12,11 +12,8 @@ from test_deflection_node import Bench
 @pytest.fixture
 def bench(tmp_path):
     write_model(tmp_path / "good.json", made_model())
-    write_model(tmp_path / "softer.json", made_model(softer=1.5))
-    (tmp_path / "torn.json").write_text((tmp_path / "good.json").read_text()[:700])
     with Harness() as harness:
         bench = Bench(harness, tmp_path / "good.json")
-        bench.folder = tmp_path
         bench.life = Lifecycle(harness, bench.arm, "deflection")
         yield bench
 

@@ -15,13 +15,8 @@ from galen_deflection.models.interface import FittedRange, fitted_on
 from galen_deflection.models.network import NetworkModel, RecurrentNet, Scaling, weight_shapes
 from galen_model.arm.galen import GALEN
 from galen_model.errors import CalibrationFileError
-from galen_model.files.calibration_file import (
-    CalibrationFile,
-    read_calibration,
-    write_calibration,
-    zeroed_at,
-)
-from galen_model.load.model import LoadEstimate
+from galen_model.files.calibration_file import read_calibration, write_calibration
+from push_bag import TOOL
 
 LINEAR = ["joint_stiffness", "joint_hysteresis", "independent", "coupled"]
 
@@ -211,25 +206,9 @@ def test_the_old_file_is_kept(path, models):
 
 def test_a_calibration_file_and_a_model_are_not_taken_for_each_other(path, tmp_path):
     model, tool = path, tmp_path / "pointer.json"
-    load = LoadEstimate(0.06, np.zeros(3), np.eye(4) * 1e-8)
-    write_calibration(
-        tool,
-        CalibrationFile(
-            "pointer",
-            load,
-            load,
-            np.zeros(3),
-            np.zeros(6),
-            56,
-            "2026-01-01T00:00:00Z",
-            arm=GALEN,
-            zeroing=zeroed_at(arm=GALEN),
-        ),
-    )
-    calibration, deflection = (
-        "a tool's calibration file (`calibrate` writes it)",
-        "a deflection model (`train` writes it)",
-    )
+    write_calibration(tool, TOOL)
+    calibration = "a tool's calibration file (`calibrate` writes it)"
+    deflection = "a deflection model (`train` writes it)"
     with pytest.raises(CalibrationFileError) as wrong:
         read_calibration(model, arm=GALEN)
     assert str(wrong.value) == f"{model}: it is {deflection}; {calibration} is needed here"

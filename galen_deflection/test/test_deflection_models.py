@@ -80,32 +80,6 @@ def test_rods_that_do_not_reach_are_named():
             Springs(TIP_M, arm=GALEN).geometry(np.array(joints))
 
 
-def test_one_pose_is_calculated_as_many_are():
-    """Two ways to the same numbers, also where joints come again after others."""
-    rng = np.random.default_rng(8)
-    spread = [0.1, 0.1, 0.1, np.pi, np.pi / 2]
-    joints = GALEN.home + rng.uniform(-1, 1, (100, 5)) * spread
-    joints = joints[[0, 0, 1, 2, 2, 0, *range(100)]]
-    one, many = Springs(TIP_M, arm=GALEN), Springs(TIP_M, arm=GALEN).geometry(joints)
-    for k in range(len(joints)):
-        single = one.geometry(joints[k : k + 1])
-        for ours, theirs in zip(single[:3], many[:3], strict=True):
-            np.testing.assert_allclose(ours[0], theirs[k], rtol=0, atol=1e-13)
-
-
-def test_the_wrench_at_the_tip_does_the_same_work():
-    """Power of a rigid motion: the same by the sensor's wrench and by the tip's."""
-    joints = places(3, seed=6)
-    wrench = np.random.default_rng(7).normal(size=(3, 6))
-    at_tip = Springs(TIP_M, arm=GALEN).at_tip(joints, wrench)
-    turn = np.array([0.3, -0.2, 0.5])
-    for k in range(3):
-        rotation, _ = GALEN.tip_pose(joints[k], TIP_M)
-        at_sensor = np.cross(turn, -rotation @ TIP_M)  # the tip stands still
-        power = rotation @ wrench[k, :3] @ at_sensor + rotation @ wrench[k, 3:] @ turn
-        assert at_tip[k, 3:] @ turn == pytest.approx(power, rel=1e-12)
-
-
 # --- parameters ---------------------------------------------------------------------------------
 
 
@@ -191,7 +165,7 @@ def test_residuals_of_a_wrong_model_are_its_discrepancy_and_enlarge_the_covarian
     """Friction that springs don't have: correlated residuals don't count by their samples."""
     rubbing = Arm(friction=(0.3, 0.3, 4.0))
     few, many = (
-        fit("joint_stiffness", recording(rubbing, seed=1, rate_hz=rate)) for rate in (25.0, 100.0)
+        fit("joint_stiffness", recording(rubbing, seed=1, rate_hz=rate)) for rate in (12.5, 50.0)
     )
     np.testing.assert_allclose(many.std, few.std, rtol=0.2)  # not half, for four times as many
     assert np.all(np.sqrt(np.diag(few.discrepancy)) > 0.3 * NOISE)

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from deflection_made_model import made_model
-from deflection_synthetic import TIP_M, recording
+from deflection_made_model import made_model, offline
+from deflection_synthetic import TIP_M
 from galen_common.stream.monitor import NOTICE_HOLD_S, Severity
 from galen_common.stream.samples import Rejected, Rejection
 from galen_deflection.deflector import (
@@ -55,20 +55,6 @@ class Rig:
     @property
     def rejected(self):
         return [r for r in self.results if isinstance(r, Rejected)]
-
-
-def offline(model, wrenches, joints, segment=None):
-    """`predict` of the same samples."""
-    some = recording(rate_hz=1.0, positions=np.array([HOME]))
-    size = len(wrenches)
-    return model.predict(
-        replace(
-            some.rows(np.zeros(size, dtype=int)),
-            segment=np.zeros(size, dtype=int) if segment is None else np.asarray(segment),
-            joints=np.asarray(joints, dtype=float),
-            wrench=np.asarray(wrenches, dtype=float),
-        )
-    )
 
 
 def same(outputs, expected):
@@ -185,15 +171,6 @@ def test_what_is_not_used_leaves_the_memory_as_it_was(step, reason, words):
     # after bad joints, those beside are not trusted either
     rig.step(after_ms=10), clean.step(after_ms=12)
     np.testing.assert_array_equal(rig.outputs[-1].predicted.mean, clean.outputs[-1].predicted.mean)
-
-
-def test_without_a_model_nothing_comes_out():
-    rig = Rig(None)
-    rig.step()
-    assert not rig.outputs and rig.rejected[-1].reason is ModelRejection.NO_MODEL
-    rig.deflector.set_model(MODEL)
-    rig.step()
-    assert len(rig.outputs) == 1
 
 
 def test_a_model_of_another_tip_is_not_used():

@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from deflection_pushes import NOISE, TIP, make_samples, pushes_along
-from galen_deflection.measurement.samples import DeflectionSamples, find_pushes, joined
+from deflection_synthetic import POSITIONS
+from galen_deflection.measurement.samples import find_pushes, joined
 from galen_deflection.models.interface import FitSettings
 from galen_deflection.models.springs import tip_wrench
 from galen_deflection.scoring.cross_check import (
@@ -21,36 +22,18 @@ from galen_deflection.scoring.cross_check import (
 )
 from galen_deflection.scoring.score import score
 from galen_model.arm.galen import GALEN
-from galen_model.registration import move_wrench
 
 SPRINGS = ["joint_stiffness", "joint_hysteresis"]
-PLACES = np.array([[0.0, 0.0, 0.408, 0.0, 0.0], [0.06, -0.05, 0.43, 0.7, -0.4],
-                   [-0.07, 0.04, 0.37, -0.9, 0.5]])  # fmt: skip
 
 
 def visit(position, levels, *, set_number=0, seed=0):
     """Pushes along x, y, z in turn at a position, with the nominal deflection and noise."""
     load = np.concatenate([pushes_along(k % 3, [level]) for k, level in enumerate(levels)])
-    joints = PLACES[position]
-    rotation, origin = GALEN.sensor_pose(joints)
-    _, tip = GALEN.tip_pose(joints, TIP)
-    count = len(load)
+    joints = POSITIONS[position]
     rng = np.random.default_rng(seed + 10 * position + set_number)
-    deflection = load @ GALEN.tip_compliance(joints, TIP).T + NOISE * rng.standard_normal(
-        (count, 6)
-    )
-    return DeflectionSamples(
-        stamp_ns=np.arange(count) * 10_000_000,
-        segment=np.zeros(count, dtype=int),
-        position=np.full(count, position),
-        set_number=np.full(count, set_number),
-        joints=np.tile(joints, (count, 1)),
-        wrench=move_wrench(load, rotation.T, rotation.T @ (tip - origin)),
-        deflection=deflection,
-        tip_m=TIP,
-        noise=NOISE,
-        arm=GALEN,
-    )
+    noise = NOISE * rng.standard_normal((len(load), 6))
+    deflection = load @ GALEN.tip_compliance(joints, TIP).T + noise
+    return make_samples(load, deflection, joints=joints, position=position, set_number=set_number)
 
 
 @pytest.fixture(scope="module")

@@ -24,8 +24,9 @@ from galen_gravcomp.compensator import Compensator
 from galen_model.arm.galen import GALEN, SENSOR
 from galen_model.files.calibration_file import read_calibration
 from galen_model.registration import Transform
-from galen_model.rotation import matrix_to_quaternion, quaternion_to_matrix, rotvec_to_matrix
+from galen_model.rotation import matrix_to_quaternion, quaternion_to_matrix
 from push_bag import (
+    BASE_IN_TRACKER,
     BASE_POSE,
     JOINTS,
     NOISE,
@@ -38,8 +39,10 @@ from push_bag import (
     WRENCH,
     Scene,
     nominal,
+    repeated,
     write,
 )
+from scipy.signal import lfilter
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "recordings" / "disclosed"
 SHORT = Scene(positions=POSITIONS[:2])
@@ -67,6 +70,11 @@ def said(recording, *words):
 
 def seconds(recording):
     return (recording.stamp_ns - START_NS) * 1e-9
+
+
+def assert_true_but_for_noise(measured, times, scene=SHORT):
+    off = measured.samples.deflection - scene.deflection_at(times)
+    assert np.sqrt(np.mean(off**2, axis=0)) == pytest.approx(NOISE, rel=0.15)
 
 
 # --- what is measured ---------------------------------------------------------------------------
@@ -135,7 +143,7 @@ def test_positions_and_phases_are_found(sound):
 
 def test_a_position_visited_again_has_its_number_and_another_visit(tmp_path):
     scene = Scene(positions=POSITIONS[[0, 1, 0]])
-    recording = read_pushes(write(tmp_path / "bag", scene.topics()), TOOL, arm=GALEN)
+    recording = tampered(tmp_path, lambda topics: None, scene)
     keys = np.unique(np.stack([recording.position, recording.visit, recording.segment]), axis=1)
     assert keys.T.tolist() == [[0, 0, 0], [0, 1, 2], [1, 0, 1]]
     samples = measure_deflection(recording).samples
@@ -285,8 +293,7 @@ def test_stamps_that_jump_and_stay_are_cut_and_left_out(tmp_path):
     assert said(recording, TOOL_POSE, "left out", "after a jump")
     assert seconds(recording).max() < 8.01
     # What is left is as good as before.
-    off = measure_deflection(recording).samples.deflection - SHORT.deflection_at(seconds(recording))
-    assert np.sqrt(np.mean(off**2, axis=0)) == pytest.approx(NOISE, rel=0.15)
+    assert_true_but_for_noise(measure_deflection(recording), seconds(recording))
 
 
 def test_stamps_that_jump_for_one_sample_cost_that_sample_only(tmp_path):
@@ -335,9 +342,7 @@ def test_stamps_that_jump_in_all_topics_at_once_are_only_cut(tmp_path):
     assert len(cut) == 1
     assert recording.segment[cut[0] + 1] == recording.segment[cut[0]] + 1
     late = np.arange(len(times)) > cut[0]
-    measured = measure_deflection(recording).samples.deflection
-    off = measured - SHORT.deflection_at(times + 2.0 * late)
-    assert np.sqrt(np.mean(off**2, axis=0)) == pytest.approx(NOISE, rel=0.15)
+    assert_true_but_for_noise(measure_deflection(recording), times + 2.0 * late)
 
 
 def test_wrenches_beyond_the_sensors_range_are_left_out(tmp_path):
@@ -386,8 +391,7 @@ def test_a_move_is_found_cut_and_registered_anew(tmp_path, what):
         moved = first.displaced(step) @ first.inverse()
         for name in (BASE_POSE,) if what == "the base's marker" else (BASE_POSE, TOOL_POSE):
             rows = topics[name].seconds() > moved_s
-            many = Transform(moved.rotation[None], moved.translation[None])
-            poses = many @ _poses(topics[name].values[rows])
+            poses = repeated(moved, rows.sum()) @ _poses(topics[name].values[rows])
             topics[name].values[rows] = np.hstack(
                 [poses.translation, matrix_to_quaternion(poses.rotation)]
             )
@@ -402,8 +406,7 @@ def test_a_move_is_found_cut_and_registered_anew(tmp_path, what):
     assert found == pytest.approx(step, abs=5 * NOISE.max() / np.sqrt(200))
     measured = measure_deflection(recording)
     assert len(measured.registrations) == 2
-    off = measured.samples.deflection - SHORT.deflection_at(seconds(recording))
-    assert np.sqrt(np.mean(off**2, axis=0)) == pytest.approx(NOISE, rel=0.15)
+    assert_true_but_for_noise(measured, seconds(recording))
 
 
 def test_samples_after_a_move_that_nothing_registers_are_left_out(tmp_path):
@@ -427,9 +430,8 @@ def test_no_move_is_found_where_there_is_none(outliers, goes_on):
     """In 20 recordings; a few poses that are far off are no move, nor is noise that goes on."""
     rng = np.random.default_rng(5)
     for _ in range(20):
-        off = rng.standard_normal((1500, 6)) * NOISE
-        for row in range(1, len(off)):
-            off[row] = goes_on * off[row - 1] + np.sqrt(1.0 - goes_on**2) * off[row]
+        white = rng.standard_normal((1500, 6)) * NOISE
+        off = lfilter([np.sqrt(1.0 - goes_on**2)], [1.0, -goes_on], white, axis=0)
         off[rng.integers(0, len(off), outliers)] += 0.05
         assert len(base_stands(_track(off), START_NS)[0]) == 1
 
@@ -456,11 +458,7 @@ def test_a_base_marker_that_was_looked_at_once_will_do(tmp_path):
 
 
 def _track(off):
-    poses = Transform(rotvec_to_matrix([0.1, 2.9, 0.3]), np.array([0.15, -0.35, 1.8]))
-    many = Transform(
-        np.broadcast_to(poses.rotation, (len(off), 3, 3)),
-        np.broadcast_to(poses.translation, (len(off), 3)),
-    ).displaced(off)
+    many = repeated(BASE_IN_TRACKER, len(off)).displaced(off)
     stamp_ns = START_NS + np.arange(len(off)) * NS // 60
     values = np.hstack([many.translation, matrix_to_quaternion(many.rotation)])
     raw = RawTrack("base", stamp_ns, stamp_ns, values, ("tracker",), {})
@@ -531,10 +529,8 @@ def test_a_filtered_sensors_noise_goes_on_and_is_no_load():
     """Low-passed at a thirtieth of the rate: its means scatter more than white noise's would."""
     rng = np.random.default_rng(9)
     time_ns = START_NS + np.arange(3000) * NS // 500
-    wrenches = rng.standard_normal((3100, 6)) * SENSOR.noise_std
-    for row in range(1, len(wrenches)):
-        wrenches[row] = 0.9 * wrenches[row - 1] + 0.436 * wrenches[row]
-    wrenches = wrenches[100:]
+    white = rng.standard_normal((3100, 6)) * SENSOR.noise_std
+    wrenches = lfilter([0.436], [1.0, -0.9], white, axis=0)[100:]
     noise = noise_of_mean(time_ns, wrenches)
     blocks = wrenches.reshape(60, 50, 6).mean(axis=1)
     assert noise == pytest.approx(blocks.std(axis=0), rel=0.6)
@@ -572,11 +568,7 @@ def _ahead(*names):
         (_lost, DeflectionError, r"no sample is left.*marker lost in \d+ samples"),
         (_restless, DeflectionError, "never stands still"),
         (_ahead(WRENCH), DeflectionError, "no wrench could be compensated"),
-        (
-            _ahead(TOOL_POSE, BASE_POSE),
-            DeflectionError,
-            r"tool_pose: stamps are 3600\.000 s ahead",
-        ),
+        (_ahead(TOOL_POSE, BASE_POSE), DeflectionError, r"tool_pose: stamps are 3600\.000 s ahead"),
     ],
 )
 def test_why_a_recording_cant_be_used_is_named(tmp_path, tamper, error, words):

@@ -152,16 +152,6 @@ def test_the_pauses_are_those_after_the_pushes():
 # --- for programs and people --------------------------------------------------------------------
 
 
-def test_half_of_the_hysteresis_is_half_of_it():
-    samples, predicted = hysteretic()
-    result = score(samples, predicted)
-    gain, uncertain = result.rests.gain(slice(0, 3))
-    assert gain == pytest.approx(0.5, abs=3.0 * uncertain)
-    assert uncertain < 0.02
-    assert result.rests.error_share(slice(0, 3)) == pytest.approx(0.5, abs=0.02)
-    assert result.rests.truth_rms(slice(0, 3)) == pytest.approx(2e-4, rel=0.03)
-
-
 def test_the_dictionary_is_strict_json_in_millimetres():
     samples, predicted = hysteretic()
     full = score(samples, predicted)

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Splits: which sets are fitted to, which are checked; segments stay whole."""
 
+import deflection_pushes
 import numpy as np
 import pytest
-from galen_deflection.measurement.samples import DeflectionSamples
 from galen_deflection.scoring.cross_check import SplitError, position_splits, report_splits
-from galen_model.arm.galen import GALEN
 
 
 def make_samples(sets, segments_a_set=2, samples_a_segment=3):
@@ -16,18 +15,9 @@ def make_samples(sets, segments_a_set=2, samples_a_segment=3):
             segment = rows[-1][0] + 1 if rows else 0
             rows += [(segment, position, number)] * samples_a_segment
     segment, position, number = np.array(rows, dtype=int).reshape(-1, 3).T
-    count = len(segment)
-    return DeflectionSamples(
-        stamp_ns=np.arange(count),
-        segment=segment,
-        position=position,
-        set_number=number,
-        joints=np.zeros((count, 5)),
-        wrench=np.zeros((count, 6)),
-        deflection=np.zeros((count, 6)),
-        tip_m=np.zeros(3),
-        noise=np.ones(6),
-        arm=GALEN,
+    nothing = np.zeros((len(rows), 6))
+    return deflection_pushes.make_samples(
+        nothing, nothing, segment=segment, position=position, set_number=number
     )
 
 

@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+import sim_bench
 from galen_model.arm.galen import GALEN
 from galen_model.load.model import ADAPTER, TOOLS
 from galen_model.rotation import matrix_to_rotvec, rotvec_to_matrix
@@ -18,31 +19,16 @@ from galen_sim_driver.effects.hysteresis import (
 from galen_sim_driver.effects.joints import Backlash, JointCompliance
 from galen_sim_driver.effects.load import CableDrag
 from galen_sim_driver.effects.sensor import BaseShift, SensorHysteresis, TrackerDelay, TrackerScale
-from galen_sim_driver.replay import Replay, Scene
+from galen_sim_driver.replay import Replay
 
 POINTER = TOOLS["pointer"]
 TURNED = np.array([0.03, -0.05, 0.45, 0.8, -0.6])
 
 
-def scene(at_s, joints, applied=None, joint_s=None, bag="push", **changes):
+def scene(at_s, joints, applied=0.0):
     """A bag that reads what the nominal arm would, with `applied` (n, 6) in ft_sensor pushed."""
-    at_s = np.asarray(at_s, dtype=float)
-    given = Scene(
-        bag=bag,
-        start_s=0.0,
-        joint_s=at_s if joint_s is None else joint_s,
-        joints=np.broadcast_to(joints, (len(at_s if joint_s is None else joint_s), 5)),
-        wrench_s=at_s,
-        reading=np.zeros((len(at_s), 6)),
-        touched=np.ones(len(at_s), dtype=bool),
-        tracker_s=at_s,
-        tool=POINTER,
-        adapter=ADAPTER,
-        arm=GALEN,
-        **changes,
-    )
-    reading = Replay(given).reading()
-    return replace(given, reading=reading if applied is None else reading + applied)
+    given = sim_bench.scene(at_s, np.broadcast_to(joints, (len(at_s), 5)), tool="pointer")
+    return replace(given, reading=Replay(given).reading() + applied)
 
 
 def instants(count, bag="push"):
@@ -65,7 +51,19 @@ def loading(joints, load, direction=(0.0, 1.0, 0.0, 0.0, 0.0, 0.0)):
     )
 
 
+def sample(given, k):
+    """The loading of one instant."""
+    rows = {name: getattr(given, name)[[k]] for name in ("joints", "wrench", "elastic")}
+    return replace(given, **rows)
+
+
 # --- cable --------------------------------------------------------------------------------------
+
+
+def posture(joints):
+    """The pointer at rest at joints (n, 5)."""
+    pose = GALEN.sensor_pose(joints)
+    return Posture(joints, *pose, None, None, POINTER.load, ADAPTER, POINTER.tip_m, GALEN)
 
 
 def test_a_cable_pulls_along_its_line_without_a_moment_about_its_anchor():
@@ -73,12 +71,9 @@ def test_a_cable_pulls_along_its_line_without_a_moment_about_its_anchor():
     rng = np.random.default_rng(1)
     joints = GALEN.home + rng.uniform(-1.0, 1.0, (30, 5)) * [0.14, 0.14, 0.2, 1.5, 0.9]
     rotation, origin = GALEN.sensor_pose(joints)
-    posture = Posture(
-        joints, rotation, origin, None, None, POINTER.load, ADAPTER, POINTER.tip_m, GALEN
-    )
 
     def pull(effect):
-        return effect.wrench(instants(30), posture)
+        return effect.wrench(instants(30), posture(joints))
 
     # In base_link, about the anchor.
     force = np.einsum("nij,nj->ni", rotation, pull(drag)[:, :3])
@@ -125,19 +120,8 @@ def test_the_tension_is_the_mean_one_where_the_reference_is_centred():
     tension = drag.tension(rotation, origin)
     assert np.ptp(tension) > 0.05
     assert tension.mean() == pytest.approx(0.2, rel=0.04)
-    by_force = np.linalg.norm(
-        drag.wrench(
-            instants(400),
-            Posture(
-                joints, rotation, origin, None, None, POINTER.load, ADAPTER, POINTER.tip_m, GALEN
-            ),
-        )[:, :3],
-        axis=1,
-    )
-    assert tension == pytest.approx(by_force, rel=1e-9)
-
-
-# --- forces of acceleration ---------------------------------------------------------------------
+    force = drag.wrench(instants(400), posture(joints))[:, :3]
+    assert tension == pytest.approx(np.linalg.norm(force, axis=1), rel=1e-9)
 
 
 # --- stiffness ----------------------------------------------------------------------------------
@@ -218,18 +202,10 @@ def test_one_sample_at_a_time_is_a_whole_bag_where_the_largest_loads_are_the_dri
     load = np.concatenate([pushes([0.0, 9.0, -6.0, 0.0], samples=40), np.zeros(5)])
     given = loading(TURNED, load, (0.2, 1.0, -0.4, 0.0, 0.0, 0.0))
     effect = DeflectionHysteresis(0.06, 1.0, form).fresh()
-    one = [
-        effect.deflect(
-            instants(1),
-            Loading(given.joints[k : k + 1], given.wrench[k : k + 1], given.elastic[k : k + 1],
-                    given.tip_m, GALEN),
-        )[0]
-        for k in range(len(load))
-    ]  # fmt: skip
+    one = [effect.deflect(instants(1), sample(given, k))[0] for k in range(len(load))]
     # The first sample is no load, so the driver's own largest loads are taken for the bag as well.
     whole = DeflectionHysteresis(0.06, 1.0, form).fresh()
-    first = Loading(given.joints[:1], given.wrench[:1], given.elastic[:1], given.tip_m, given.arm)
-    whole.deflect(instants(1), first)
+    whole.deflect(instants(1), sample(given, 0))
     found = whole.deflect(instants(len(load)), given)
     assert np.abs(found - one).max() < 1e-9 * np.abs(found).max() + 1e-15
     assert np.abs(found[-1]).max() > 1e-6
@@ -261,11 +237,9 @@ def test_a_held_deflection_creeps_on_exponentially_and_back():
     assert np.abs(found[last] - found[last + 1]).max() < 0.02 * np.abs(found[last]).max()
     live = effect.fresh()
     again = [
-        live.deflect(Instants("push", at_s[[k]], at_s[[k]]), replace(
-            given, joints=given.joints[[k]], wrench=given.wrench[[k]], elastic=given.elastic[[k]]
-        ))[0]
+        live.deflect(Instants("push", at_s[[k]], at_s[[k]]), sample(given, k))[0]
         for k in range(len(at_s))
-    ]  # fmt: skip
+    ]
     assert np.array(again) == pytest.approx(found, abs=1e-15)
 
 
@@ -357,6 +331,11 @@ def test_a_joint_with_play_lags_by_half_its_gap_after_each_reversal():
     assert again == pytest.approx(true[:, 4], abs=1e-15)
 
 
+def crossed(effect, given):
+    """What the pushes move the tip by through the joint's gap, from a fresh start."""
+    return effect.fresh().deflect(instants(len(given.wrench)), given)
+
+
 @pytest.mark.parametrize("joint", GALEN.joint_names)
 def test_a_push_takes_a_joint_to_the_side_it_pushes_to_and_leaves_it_there(joint):
     gap = 0.002
@@ -366,30 +345,28 @@ def test_a_push_takes_a_joint_to_the_side_it_pushes_to_and_leaves_it_there(joint
     direction = np.concatenate([column[:3], np.zeros(3)]) / np.linalg.norm(column[:3])
     load = pushes([0.0, 0.0, 5.0, 0.0, -5.0, 0.0])
     given = loading(TURNED, load, direction)
-    moved = Backlash(joint, gap).fresh().deflect(instants(len(load)), given)
+    moved = crossed(Backlash(joint, gap), given)
     for at, side in ((30, 0.0), (120, 1.0), (180, 1.0), (240, -1.0), (300, -1.0)):
         assert moved[at] == pytest.approx(side * 0.5 * gap * column, abs=1e-12)
     # What noise makes of no load takes it nowhere.
     noisy = load + 0.1 * np.random.default_rng(1).uniform(-1.0, 1.0, len(load))
-    shaken = (
-        Backlash(joint, gap).fresh().deflect(instants(len(load)), loading(TURNED, noisy, direction))
-    )
+    shaken = crossed(Backlash(joint, gap), loading(TURNED, noisy, direction))
     assert shaken[[30, 180, 300]] == pytest.approx(moved[[30, 180, 300]], abs=1e-12)
-    below = Backlash(joint, gap, -1.0).fresh().deflect(instants(len(load)), given)
+    below = crossed(Backlash(joint, gap, -1.0), given)
     assert below[120] == pytest.approx(gap * column, abs=1e-12)
     # After a motion upwards it rests below: the same push now takes it through the whole gap.
     before = TURNED.copy()
     before[index] -= 0.05
     joints = np.concatenate([np.tile(before, (5, 1)), given.joints[5:]])
-    moved = Backlash(joint, gap).fresh().deflect(instants(len(load)), replace(given, joints=joints))
+    moved_before = replace(given, joints=joints)
+    moved = crossed(Backlash(joint, gap), moved_before)
     assert moved[120] == pytest.approx(gap * column, abs=1e-12)
     assert moved[240] == pytest.approx(np.zeros(6), abs=1e-12)
     # A centred one rests in the middle, wherever it came from.
-    centred = Backlash(joint, gap, crossing="centred").fresh()
-    moved = centred.deflect(instants(len(load)), replace(given, joints=joints))
+    moved = crossed(Backlash(joint, gap, crossing="centred"), moved_before)
     assert moved[[120, 240]] == pytest.approx(np.outer([0.5, -0.5], gap * column), abs=1e-12)
     # A soft one comes back, and gives way by no more than the gap.
-    moved = Backlash(joint, gap, crossing="soft").fresh().deflect(instants(len(load)), given)
+    moved = crossed(Backlash(joint, gap, crossing="soft"), given)
     assert moved[180] == pytest.approx(np.zeros(6), abs=1e-12)
     assert np.abs(moved[[120, 240]]) == pytest.approx(np.abs(moved[[240, 120]]), abs=1e-12)
     assert np.all(np.abs(moved) <= 0.5 * gap * np.abs(column) + 1e-12)
@@ -406,7 +383,7 @@ def test_a_late_tracker_sees_what_was_and_a_long_one_sees_it_farther():
     at_s = 0.01 * np.arange(300)
     joints = np.tile(GALEN.home, (300, 1))
     joints[:, 0] = 0.05 * at_s
-    moving = replace(scene(at_s, GALEN.home, joint_s=at_s), joints=joints)
+    moving = replace(scene(at_s, GALEN.home), joints=joints)
     nominal = Replay(moving).tip(np.zeros((300, 6)))[1]
     late = Replay(moving, [TrackerDelay(0.04)]).tip(np.zeros((300, 6)))[1]
     assert nominal[50:] - late[50:] == pytest.approx(np.tile([0.002, 0.0, 0.0], (250, 1)), abs=1e-9)

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio
 import pytest
+import sim_bench
 from galen_common.parameters import param_fields
 from galen_model.arm.description import read_arm
 from galen_model.arm.galen import GALEN
@@ -15,7 +16,8 @@ from galen_model.load.model import ADAPTER, TOOLS, gravity_wrench
 from galen_model.rotation import rotvec_to_matrix
 from galen_ros.messages import LATCHED
 from galen_ros.node.testing import Harness
-from galen_sim_driver.effects.effect import ConfigError
+from galen_sim_driver.effects.effect import ConfigError, Instants, Loading
+from galen_sim_driver.effects.hysteresis import DeflectionHysteresis
 from galen_sim_driver.effects.joints import compliance
 from galen_sim_driver.effects.registry import contract_parameters, effect_from, identities
 from galen_sim_driver.parameters import (
@@ -24,18 +26,16 @@ from galen_sim_driver.parameters import (
     effect_parameters,
     effects_of,
 )
-from galen_sim_driver.plant.cell import Plant
 from galen_sim_driver.plant.config import (
     BASE_IN_TRACKER,
     HandPush,
-    PlantConfig,
     PlantError,
     acceleration_limits,
     velocity_limits,
 )
 from galen_sim_driver.plant.geometry import tip_jacobian
 from galen_sim_driver.plant.motion import Trajectory, TrajectoryPoint
-from galen_sim_driver.replay import Replay, Scene
+from sim_bench import EXACT, run, typical
 from std_msgs.msg import String
 from test_sim_node import Cell
 
@@ -53,15 +53,13 @@ RAIL = TEXT.replace(
 )
 ON_RAIL = read_arm(RAIL, sensor_frame="tool0")
 ELBOW_UP = (0.2, -1.1, 1.6, 0.5, 1.2, -0.4)
-EXACT = {"noise": False, "quantise": False}
 RETRACTOR = TOOLS["retractor"]
 
 
-def make_plant(arm=SIX, tool="retractor", **changes):
-    config = PlantConfig(arm=arm, **{"start_joints": ELBOW_UP} | EXACT | changes)
-    plant = Plant(config, np.random.default_rng(0))
-    plant.attach_tool(tool)
-    return plant
+def make_plant(arm=SIX, **changes):
+    return sim_bench.make_plant(
+        "retractor", arm=arm, **{"start_joints": ELBOW_UP} | EXACT | changes
+    )
 
 
 def pinocchio_pose(text, joints, frame="tool0"):
@@ -106,7 +104,7 @@ def test_a_trajectory_is_followed_within_the_limits():
     plant = make_plant(ON_RAIL, start_joints=())
     names, goal = ON_RAIL.joint_names[::-1], [0.3, -0.5, 0.9, -0.4, 0.2, -0.8, 0.15]
     plant.command(Trajectory(names, [TrajectoryPoint(4.0, goal, [0.0] * 7, [0.0] * 7)]))
-    samples = [plant.step() for _ in range(2100)]
+    samples = run(plant, 2100)
     assert samples[0].true_joints == pytest.approx(ON_RAIL.home, abs=1e-4)
     assert samples[-1].true_joints == goal[::-1]
     velocities = np.array([sample.true_velocities for sample in samples])
@@ -179,78 +177,20 @@ def test_a_singular_pose_moves_slowly_instead_of_running_away(axis):
 
 # --- effects --------------------------------------------------------------------------------------
 
-# Numbers that show; others as large as they usually are.
-SHOWN = {
-    "crosstalk": {"coefficient": 0.1},
-    "sensor_saturation": {"limit": 0.5, "axis": "fx"},
-    "bias_step": {"step": [0.3] * 6},
-    "sensor_drift": {"rate_per_hour": [100.0] * 6},
-    "joint_compliance": {"stiffness": {"elbow": 5000.0}},
-    "deflection_hysteresis": {"residual_fraction": 0.1},
-    "backlash": {"gap_rad": 0.004},
-}
-
-
-def some(name):
-    effect = identities(SIX)[name]
-    if name in SHOWN:
-        joint = {"joint": "wrist_2"} if name == "backlash" else {}
-        return effect_from(name, SHOWN[name] | joint, SIX)
-    return effect.with_vector(np.concatenate([p.typicals for p in effect.fitted]))
-
-
-# A nominal arm of a description is rigid: what friction does to springs needs some.
-SOFT = SIX.with_stiffness(dict.fromkeys(SIX.joint_names, 8000.0))
-
-
-def watched(effects):
-    """The plant and its samples, as they are asked for, of a motion and two pushes."""
-    plant = make_plant(
-        SOFT,
-        rate_hz=200.0,
-        start_ns=0,
-        effects=tuple(effects),
-        encoder_quantum=(1e-12,) * 6,
-        hand=[HandPush(0.6, 0.5, (0.0, 10.0, 0.0)), HandPush(1.2, 0.5, (-6.0, 0.0, 8.0))],
-    )
-    way = np.array(ELBOW_UP) + [0.3, 0.2, -0.3, 0.4, -0.5, 0.6]
-    plant.command(Trajectory(SIX.joint_names, [TrajectoryPoint(0.8, way, [0.0] * 6, [0.0] * 6)]))
-    plant.start_hand()
-    return plant, (plant.step() for _ in range(340))
-
-
-PLAIN = list(watched([])[1])
-
 
 @pytest.mark.parametrize("name", identities(SIX))
-def test_every_effect_of_the_arm_can_be_switched_on_and_shows(name):
-    effect = some(name)
+def test_every_effect_of_the_arm_is_a_set_of_the_drivers_parameters(name):
+    if name == "joint_compliance":
+        effect = effect_from(name, {"stiffness": {"elbow": 5000.0}}, SIX)
+    elif name == "backlash":
+        effect = effect_from(name, {"gap_rad": 0.004, "joint": "wrist_2"}, SIX)
+    else:
+        effect = typical(identities(SIX)[name])
     told = driver_parameters([effect])
     kind = effect_parameters(SIX)
     assert told.keys() <= param_fields(kind).keys()
     lists = {key: tuple(value) for key, value in told.items() if isinstance(value, list)}
-    (live,) = effects_of(kind(**told | lists))
-    assert live == effect
-    plant, samples = watched([live])
-    late = plant.wrench_delay_ns or plant.tracker_delay_ns
-    pairs = zip(samples, PLAIN, strict=True)
-    assert late or any(a.wrench != b.wrench or a.tracker != b.tracker for a, b in pairs)
-
-
-@pytest.mark.parametrize(
-    "name", ["joint_gain:elbow", "joint_axis_misalignment:wrist_1", "backlash", "cable_drag"]
-)
-def test_replay_tells_what_the_plant_tells(name):
-    effect = some(name)
-    samples = list(watched([effect])[1])
-    at_s = np.array([sample.stamp_ns for sample in samples]) * 1e-9
-    scene = Scene(
-        "push", 0.0, at_s, np.array([s.positions for s in samples]), at_s,
-        np.array([s.wrench for s in samples]), at_s > 0.59, np.empty(0), RETRACTOR, ADAPTER,
-        arm=SOFT,
-    )  # fmt: skip
-    error = (Replay(scene, [effect]).reading() - scene.reading)[at_s < 0.59]
-    assert np.abs(error).max() < 1e-11
+    assert effects_of(kind(**told | lists)) == (effect,)
 
 
 def test_an_axis_is_turned_in_the_parent_link_by_pinocchio():
@@ -275,6 +215,22 @@ def test_an_axis_is_turned_in_the_parent_link_by_pinocchio():
     at_zero = data.oMf[model.getFrameId("tool0")].rotation
     found, _ = effect.misaligned(SIX).sensor_pose(joints)
     assert np.abs(found - moved @ at_zero).max() < 1e-12
+
+
+def test_a_push_live_on_a_soft_arm_leaves_no_more_than_the_fraction_asked_for():
+    soft = SIX.with_stiffness(dict.fromkeys(SIX.joint_names, 8000.0))
+    compliance = soft.tip_compliance(ELBOW_UP, RETRACTOR.tip_m)
+    effect = DeflectionHysteresis(0.1).fresh()
+
+    def deflected(load):
+        wrench = np.outer(load, np.eye(6)[1])
+        joints, at_s = np.tile(ELBOW_UP, (len(load), 1)), 0.01 * np.arange(len(load))
+        given = Loading(joints, wrench, wrench @ compliance.T, RETRACTOR.tip_m, soft)
+        return effect.deflect(Instants("push", at_s, at_s), given)[:, 1]
+
+    deflected(np.zeros(1))
+    left = deflected(10.0 * np.sin(np.linspace(0.0, np.pi, 100)))[-1]
+    assert 0.01 < left / (10.0 * compliance[1, 1]) <= 0.1
 
 
 def test_stiffnesses_are_counted_from_the_rigid_arm():

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Effects beyond the nominal model: forces of acceleration, cable, bias drift, a tool that sags."""
 
-from dataclasses import replace
-
 import numpy as np
 import pinocchio
 import pytest
@@ -10,31 +8,19 @@ from galen_model.arm.galen import GALEN, GRAVITY_M_S2, SENSOR
 from galen_model.arm.sensor_motion import sensor_motion
 from galen_model.load.model import ADAPTER, TOOLS, Load
 from galen_sim_driver.effects.effect import Instants, Posture
-from galen_sim_driver.effects.load import CableDrag, InertialLoad, LooseTool
+from galen_sim_driver.effects.load import InertialLoad
 from galen_sim_driver.effects.sensor import SensorDrift
-from galen_sim_driver.parameters import DriverParameters, EffectParameters, effects_of
-from galen_sim_driver.plant.cell import Plant
-from galen_sim_driver.plant.config import PlantConfig
-from galen_sim_driver.plant.motion import Trajectory, TrajectoryPoint
+from sim_bench import EXACT, TURNED, make_plant, run, to_rest
 
 from galen_validation.pinocchio_arm import PinocchioArm
 
-EXACT = {"noise": False, "quantise": False}
-TURNED = (0.03, -0.05, 0.45, 0.8, -0.6)
 ADAPTER_INERTIA = (2e-5, 3e-5, 4e-5, 1e-6, -2e-6, 3e-6)
 TOOL_INERTIA = (1e-4, 5e-4, 4.5e-4, -3e-5, 2e-5, 1e-5)
 
 
-def make_plant(tool="retractor", seed=0, **changes):
-    plant = Plant(replace(PlantConfig(arm=GALEN), **changes), np.random.default_rng(seed))
-    plant.attach_tool(tool)
-    return plant
-
-
 def move(plant, steps=700):
-    point = TrajectoryPoint(1.2, list(TURNED), [0.0] * 5, [0.0] * 5)
-    plant.command(Trajectory(GALEN.joint_names, [point]))
-    return [plant.step() for _ in range(steps)]
+    plant.command(to_rest(TURNED, 1.2))
+    return run(plant, steps)
 
 
 def tensor(entries):
@@ -42,35 +28,14 @@ def tensor(entries):
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
-CABLE = CableDrag(
-    0.4,
-    bending_nm=0.01,
-    stretch_per_m=10.0,
-    reference_m=tuple(GALEN.tip_pose(GALEN.home, (0.08, 0.0, 0.06))[1]),
-)
 SWUNG = InertialLoad(
     TOOLS["retractor"].load.mass_kg + ADAPTER.mass_kg, tuple(np.add(ADAPTER_INERTIA, TOOL_INERTIA))
 )
 
 
-def test_none_is_there_by_default_and_any_leaves_the_noise_what_it_is():
-    assert (
-        effects_of(EffectParameters()) == DriverParameters().plant_config(arm=GALEN).effects == ()
-    )
-    # Without a tool none of these shows.
-    nominal, other = make_plant(""), make_plant("", effects=(SWUNG, CABLE, LooseTool(0.01)))
-    nominal.start_hand()
-    other.start_hand()
-    samples = [(nominal.step(), other.step()) for _ in range(900)]
-    assert all(np.allclose(a.wrench, b.wrench, rtol=0.0, atol=1e-12) for a, b in samples)
-
-
 def test_without_them_the_plant_reads_as_it_did_before_there_were_any():
-    plant = make_plant()
-    plant.command(
-        Trajectory(GALEN.joint_names, [TrajectoryPoint(1.2, list(TURNED), [0.0] * 5, [0.0] * 5)])
-    )
-    quanta = np.array([plant.step().wrench for _ in range(500)]) / SENSOR.quantum
+    samples = move(make_plant("retractor"), 500)
+    quanta = np.array([sample.wrench for sample in samples]) / SENSOR.quantum
     # Sums of a plant that knew none of these effects, and was bit for bit the same over a longer
     # run; a few roundings may go the other way with another libm.
     before = [159513.5, -89561.0, -57824.0, 213370.0, 595117.5, -123130.0]
@@ -119,8 +84,8 @@ def test_forces_of_acceleration_are_those_of_pinocchios_inverse_dynamics():
 
 def test_the_plant_reads_the_change_of_momentum_along_its_own_path():
     # It obeys a command a period later, and goes the same way then.
-    samples = move(make_plant(**EXACT, effects=(SWUNG,)))[1:]
-    without = move(make_plant(**EXACT))[:-1]
+    samples = move(make_plant("retractor", **EXACT, effects=(SWUNG,)))[1:]
+    without = move(make_plant("retractor", **EXACT))[:-1]
     assert [s.true_joints for s in samples] == [s.true_joints for s in without]
     joints = np.array([sample.true_joints for sample in samples])
     reading = np.array([s.wrench for s in samples]) - [s.wrench for s in without]
@@ -153,21 +118,17 @@ def test_the_plant_reads_the_change_of_momentum_along_its_own_path():
     assert np.abs(reading[-50:]).max() < 1e-12
 
 
-# --- cable --------------------------------------------------------------------------------------
-
-
 # --- bias drift, sagging tool -------------------------------------------------------------------
 
 
 def test_drift_is_what_was_asked_for_and_zeroing_takes_it_away_once():
     drift = np.array([3.0, -2.0, 9.0, 0.01, -0.02, 0.03])
     changes = {**EXACT, "start_joints": TURNED}
-    plant = make_plant(effects=(SensorDrift(tuple(drift)),), **changes)
-    nominal = np.array(make_plant(**changes).step().wrench)
-    shift = np.array([plant.step().wrench for _ in range(5000)]) - nominal
-    assert shift[-1] == pytest.approx(drift * 10.0 / 3600.0, rel=1e-9)
-    assert shift[2499] == pytest.approx(0.5 * shift[-1], rel=1e-9)
+    plant = make_plant("retractor", effects=(SensorDrift(tuple(drift)),), **changes)
+    nominal = np.array(make_plant("retractor", **changes).step().wrench)
+    shift = np.array([sample.wrench for sample in run(plant, 1000)]) - nominal
+    assert shift[-1] == pytest.approx(drift * 2.0 / 3600.0, rel=1e-9)
+    assert shift[499] == pytest.approx(0.5 * shift[-1], rel=1e-9)
     plant.start_zeroing(0.002)
     plant.step()
-    after = np.array([plant.step().wrench for _ in range(500)])
-    assert after[-1] == pytest.approx(drift * 1.0 / 3600.0, rel=1e-6, abs=1e-12)
+    assert run(plant, 500)[-1].wrench == pytest.approx(drift * 1.0 / 3600.0, rel=1e-6, abs=1e-12)

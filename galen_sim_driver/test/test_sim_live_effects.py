@@ -10,7 +10,6 @@ import pytest
 from galen_common.parameters import param_fields
 from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
-from galen_model.load.model import ADAPTER, TOOLS
 from galen_model.rotation import quaternion_to_matrix, rotvec_to_matrix
 from galen_sim_driver.effects.registry import effect_from, identities
 from galen_sim_driver.effects.sensor import (
@@ -28,66 +27,50 @@ from galen_sim_driver.parameters import (
     effects_of,
     parameter_name,
 )
-from galen_sim_driver.plant.cell import Plant
-from galen_sim_driver.plant.config import BASE_IN_TRACKER, BASE_MARKER, HandPush, PlantConfig
-from galen_sim_driver.plant.motion import Trajectory, TrajectoryPoint
-from galen_sim_driver.replay import Replay, Scene
+from galen_sim_driver.plant.config import BASE_IN_TRACKER, BASE_MARKER, HandPush
+from galen_sim_driver.replay import Replay
+from sim_bench import TURNED, make_plant, run, scene, to_rest, typical
 
 RATE_HZ = 200.0
-WAY = [0.03, -0.05, 0.45, 0.8, -0.6]
 PUSHES = [
     HandPush(1.2, 0.6, (0.0, 10.0, 0.0)),
     HandPush(1.9, 0.6, (-6.0, 0.0, 8.0), (0.05, -0.03, 0.0)),
 ]
-EXACT = PlantConfig(
-    rate_hz=RATE_HZ,
-    start_ns=0,
-    encoder_quantum=(1e-12,) * 5,
-    noise=False,
-    quantise=False,
-    tracker_rate_hz=50.0,
-    hand=PUSHES,
-    arm=GALEN,
-)
+EXACT = {
+    "rate_hz": RATE_HZ,
+    "start_ns": 0,
+    "encoder_quantum": (1e-12,) * 5,
+    "noise": False,
+    "quantise": False,
+    "tracker_rate_hz": 50.0,
+    "hand": PUSHES,
+}
 BASE = BASE_IN_TRACKER
 IDENTITIES = identities(GALEN)
 
 
-def run(effects):
+def scene_of(effects):
     """What the plant tells of a motion and two pushes: the scene, tracker poses, untouched rows."""
-    plant = Plant(replace(EXACT, effects=tuple(effects)), np.random.default_rng(0))
-    plant.attach_tool("retractor")
-    plant.command(Trajectory(GALEN.joint_names, [TrajectoryPoint(1.0, WAY, [0.0] * 5, [0.0] * 5)]))
+    plant = make_plant("retractor", effects=tuple(effects), **EXACT)
+    plant.command(to_rest(TURNED, 1.0))
     plant.start_hand()
-    samples = [plant.step() for _ in range(round(2.7 * RATE_HZ))]
+    samples = run(plant, round(2.7 * RATE_HZ))
     stamps = np.array([s.stamp_ns for s in samples]) * 1e-9
     looks = [k for k, sample in enumerate(samples) if sample.tracker is not None]
-    scene = Scene(
-        bag="push",
-        start_s=0.0,
+    given = scene(
+        stamps + plant.wrench_delay_ns * 1e-9,
+        np.array([s.positions for s in samples]),
         joint_s=stamps,
-        joints=np.array([s.positions for s in samples]),
-        wrench_s=stamps + plant.wrench_delay_ns * 1e-9,
         reading=np.array([s.wrench for s in samples]),
         touched=stamps > 1.2,
         tracker_s=stamps[looks] + plant.tracker_delay_ns * 1e-9,
-        tool=TOOLS["retractor"],
-        adapter=ADAPTER,
-        arm=GALEN,
     )
-    return scene, [samples[k].tracker for k in looks]
+    return given, [samples[k].tracker for k in looks]
 
 
 @cache
 def nominal():
-    return run([])
-
-
-def some(name):
-    effect = IDENTITIES[name]
-    typical = np.concatenate([p.typicals for p in effect.fitted])
-    upper = np.concatenate([np.full(p.size, p.upper) for p in effect.fitted])
-    return effect.with_vector(np.minimum(typical * (1.0 + 0.1 * np.arange(len(typical))), upper))
+    return scene_of([])
 
 
 # Those that clip, are smoothed, or know more of a whole bag.
@@ -95,13 +78,13 @@ NOT_TOGETHER = {
     *("sensor_saturation", "sensor_hysteresis"),
     *("inertial_load", "deflection_hysteresis"),
 }
-CASES = {name: (some(name),) for name in IDENTITIES} | {
+CASES = {name: (typical(effect),) for name, effect in IDENTITIES.items()} | {
     "sensor_saturation": (SensorSaturation(0.9, "fx"),),
     "sensor_drift": (SensorDrift.through([0.0, 0.5, 3.0], 0.1 * np.arange(18.0).reshape(3, 6)),),
     "bias_step": (BiasStep(0.5, (0.1, 0.2, -0.3, 0.01, 0.0, 0.0)),),
     "wrench_delay": (WrenchDelay(0.025),),
     "base_shift": (BaseShift((0.001, -0.002, 0.003), (0.01, 0.02, -0.03), 1.5),),
-    "together": (*(some(name) for name in IDENTITIES if name not in NOT_TOGETHER),),
+    "together": tuple(typical(e) for name, e in IDENTITIES.items() if name not in NOT_TOGETHER),
 }
 # What is told of a remembered or differentiated path hangs on when somebody looks: replay smooths
 # rates over 80 ms, knows the largest load of a bag beforehand, and sees the tip only when the
@@ -119,15 +102,15 @@ TIP_DIFFERS = {
 @pytest.mark.parametrize("name", CASES)
 def test_the_plant_with_parameters_tells_what_replay_with_the_effects_tells(name):
     effects = CASES[name]
-    told = json.loads(json.dumps(driver_parameters(effects)))
-    lists = {key: tuple(value) for key, value in told.items() if isinstance(value, list)}
-    live = effects_of(EffectParameters(**(told | lists)))
+    values = json.loads(json.dumps(driver_parameters(effects)))
+    lists = {key: tuple(value) for key, value in values.items() if isinstance(value, list)}
+    live = effects_of(EffectParameters(**(values | lists)))
     assert live == effects
-    scene, seen = run(live)
-    replay, (before, seen_before) = Replay(scene, effects), nominal()
-    untouched = ~scene.touched
-    error = np.abs(replay.reading() - scene.reading)[untouched].max()
-    size = np.abs(before.reading - scene.reading)[untouched].max()
+    told, seen = scene_of(live)
+    replay, (before, seen_before) = Replay(told, effects), nominal()
+    untouched = ~told.touched
+    error = np.abs(replay.reading() - told.reading)[untouched].max()
+    size = np.abs(before.reading - told.reading)[untouched].max()
     assert error < WRENCH_DIFFERS.get(name, 0.0) * size + 1e-11
 
     # What was clipped, or lags by what a bag doesn't know, can't be told back: there the push is
@@ -147,17 +130,17 @@ def test_the_plant_with_parameters_tells_what_replay_with_the_effects_tells(name
     marker, moved = BASE_MARKER, replay.base_marker()
     at = base_m + (np.array(marker.translation_m) + moved[:, :3]) @ base_turn.T
     for effect in effects:
-        at = effect.seen(scene.instants(scene.tracker_s), at)
+        at = effect.seen(told.instants(told.tracker_s), at)
     assert np.abs(at - [base[0] for _, base in seen]).max() < 1e-12
     turn = base_turn @ rotvec_to_matrix(moved[:, 3:]) @ rotvec_to_matrix(marker.rotvec_rad)
     turned = quaternion_to_matrix([base[1] for _, base in seen])
     assert np.abs(turn - turned).max() < 1e-12
 
     # Each shows somewhere, so that all of this could fail.
-    late = np.array_equal(scene.wrench_s, before.wrench_s) and np.array_equal(
-        scene.tracker_s, before.tracker_s
+    late = np.array_equal(told.wrench_s, before.wrench_s) and np.array_equal(
+        told.tracker_s, before.tracker_s
     )
-    same = np.array_equal(scene.reading, before.reading) and seen == seen_before
+    same = np.array_equal(told.reading, before.reading) and seen == seen_before
     assert not (late and same)
 
 
@@ -178,21 +161,13 @@ def test_every_number_of_an_effect_is_a_parameter_of_the_driver(name):
 
 
 def test_effects_become_a_parameter_file():
-    step = BiasStep(2.0, (0.1,) * 6, "push")
-    effects = [
-        effect_from("joint_zero_offset", {"joint": "tilt", "offset_rad": 0.012}, arm=GALEN),
-        SensorDrift((1.0,) * 6),
-        step,
-    ]
-    assert driver_file(effects) == {
-        "sim_driver": {
-            "ros__parameters": {
-                "joint_zero_offset_tilt_rad": 0.012,
-                "sensor_drift_rate_per_hour": [1.0] * 6,
-                "bias_step_time_s": 2.0,
-                "bias_step": [0.1] * 6,
-            }
-        }
+    zero = effect_from("joint_zero_offset", {"joint": "tilt", "offset_rad": 0.012}, arm=GALEN)
+    effects = [zero, SensorDrift((1.0,) * 6), BiasStep(2.0, (0.1,) * 6, "push")]
+    assert driver_file(effects)["sim_driver"]["ros__parameters"] == {
+        "joint_zero_offset_tilt_rad": 0.012,
+        "sensor_drift_rate_per_hour": [1.0] * 6,
+        "bias_step_time_s": 2.0,
+        "bias_step": [0.1] * 6,
     }
     with pytest.raises(GalenError, match="one crosstalk at a time"):
         driver_parameters([Crosstalk("fx", "fy", 0.1), Crosstalk("fx", "fz", 0.1)])
@@ -214,15 +189,12 @@ def test_bad_values_are_named(changes, words):
 
 
 def test_the_noise_is_the_same_with_and_without():
-    noisy = replace(EXACT, noise=True)
     offset = BiasStep(0.0, (0.5, -0.5, 0.25, 0.125, 0.0, 0.0))
     scale = effect_from("tracker_scale", {"gain": 0.01}, arm=GALEN)
     plain, other = (
-        Plant(replace(noisy, effects=effects), np.random.default_rng(1))
+        make_plant("pointer", 1, **EXACT | {"noise": True, "effects": effects})
         for effects in ((), (offset, scale))
     )
-    for plant in (plain, other):
-        plant.attach_tool("pointer")
     for _ in range(40):
         a, b = plain.step(), other.step()
         assert np.abs(np.array(b.wrench) - a.wrench - offset.step).max() < 1e-12

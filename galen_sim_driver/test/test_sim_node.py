@@ -3,19 +3,17 @@
 
 import os
 import time
-from xml.etree import ElementTree
 
 import galen_sim_driver.ros.node as node_module
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Duration
 from diagnostic_msgs.msg import DiagnosticArray
-from galen_model.arm.galen import GALEN, SENSOR
+from galen_model.arm.galen import GALEN, SENSOR, galen_urdf
 from galen_model.load.model import ADAPTER, TOOLS, Load, nominal_reading
 from galen_ros.messages import (
     LATCHED,
     STREAM,
-    fill_stamp,
     fill_wrench,
     stamp_to_ns,
     wrench_to_array,
@@ -49,16 +47,18 @@ class Cell:
             )
         )
         self.probe = harness.add(lambda context: Node("probe", context=context))
-        self.joints, self.wrenches, self.order = [], [], []
+        self.joints, self.wrenches = [], []
         self.clocks, self.tool_poses, self.base_poses = [], [], []
         self.diagnostics = []
         subscribe = self.probe.create_subscription
-        subscribe(JointState, "joint_states", self._on_joints, STREAM)
+        subscribe(JointState, "joint_states", self.joints.append, STREAM)
         subscribe(WrenchStamped, "wrench_raw", self._on_wrench, STREAM)
         subscribe(PoseStamped, "tracker/tool_pose", self.tool_poses.append, STREAM)
         subscribe(PoseStamped, "tracker/base_pose", self.base_poses.append, STREAM)
         subscribe(Clock, "/clock", self.clocks.append, 100)
-        subscribe(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+        subscribe(
+            DiagnosticArray, "/diagnostics", lambda m: self.diagnostics.append(m.status[0]), 10
+        )
         self.trajectory = self.probe.create_publisher(JointTrajectory, "joint_trajectory", 10)
         self.compensated = self.probe.create_publisher(WrenchStamped, "wrench_compensated", STREAM)
         self.bias = self.probe.create_client(Trigger, "zero_ft_sensor")
@@ -74,21 +74,16 @@ class Cell:
             "the driver's subscriptions",
         )
 
-    def _on_joints(self, message):
-        self.joints.append(message)
-
     def _on_wrench(self, message):
         self.wrenches.append(message)
         if self._answer is not None:
             self._answer(message)
 
-    def _on_diagnostics(self, message):
-        self.diagnostics.append(message.status[0])
-
-    def answer_wrenches_with(self, reply):
+    def answer_wrenches_with(self, reply, frame="ft_sensor"):
         """Publish `reply(wrench (6,))` as compensated for every raw wrench, None to stop."""
 
         def answer(message):
+            message.header.frame_id = frame
             fill_wrench(message, reply(wrench_to_array(message)))
             self.compensated.publish(message)
 
@@ -186,8 +181,6 @@ def test_effects_are_parameters_and_their_delays_are_in_the_stamps(harness):
     assert {stamp_to_ns(m.header.stamp) % every_ns for m in list(cell.joints)} == {0}
     assert {stamp_to_ns(m.header.stamp) % every_ns for m in list(cell.wrenches)} == {1_300_000}
     assert {stamp_to_ns(m.header.stamp) % every_ns for m in list(cell.tool_poses)} == {700_000}
-    assert cell.driver._plant.wrench_delay_ns == 21_300_000
-    assert cell.driver._plant.tracker_delay_ns == 10_700_000
     # The joints say nothing of it.
     assert cell.positions() == pytest.approx(GALEN.home, abs=1e-9)
     tool = TOOLS["pointer"].load
@@ -220,15 +213,6 @@ def test_joint_states_go_out_before_their_wrench(cell):
         assert joints[1] == wrench[1]
 
 
-def test_real_time_stamps_are_system_time_without_a_clock(harness):
-    cell = Cell(harness)
-    cell.wait(lambda: len(cell.wrenches) > 500, "500 wrenches")
-    lag_s = [time.time() - stamp_to_ns(m.header.stamp) * 1e-9 for m in cell.wrenches[-1:]]
-    assert -0.05 < lag_s[0] < 5.0
-    assert cell.clocks == []
-    cell.wait(lambda: float(cell.value("speed_reached") or 0.0) > 0.0, "a measured speed")
-
-
 def test_zero_ft_sensor_zeroes_here_and_answers_when_done(harness):
     cell = Cell(harness, speed_factor=2.0, seed=3, initial_tool="retractor")
     before = cell.fresh_wrenches(100).mean(axis=0)
@@ -243,19 +227,11 @@ def test_zero_ft_sensor_zeroes_here_and_answers_when_done(harness):
     assert np.all(np.abs(after) < 5 * SIGMA * np.sqrt(1 / 250 + 1 / 500))
 
 
-def test_zero_ft_sensor_is_rejected_while_the_arm_moves(harness):
+def test_zero_ft_sensor_that_was_spoilt_by_a_motion_answers_so(harness):
     cell = Cell(harness, speed_factor=2.0, bias_window_s=3.0)
-    cell.send(["roll"], [0.8], 8.0)
-    cell.wait(lambda: cell.velocities()[3] > 0.05, "motion")
-    response = cell.call(cell.bias, Trigger.Request())
-    assert not response.success and "moving" in response.message
-    # One that was spoilt answers too.
-    cell.trajectory.publish(JointTrajectory())
-    cell.wait(lambda: not cell.velocities().any(), "rest")
-    cell.wait(lambda: cell.call(cell.bias, Trigger.Request()).success, "zeroing at rest")
     future = cell.bias.call_async(Trigger.Request())
     cell.fresh_wrenches(200)  # a part of the window
-    cell.send(["roll"], [0.0], 0.5)
+    cell.send(["roll"], [0.8], 0.5)
     cell.wait(future.done, "the answer")
     assert not future.result().success and "moved" in future.result().message
 
@@ -279,8 +255,6 @@ def test_a_tool_adds_its_weight_and_its_marker(cell):
     response = cell.call(cell.attach, SetTool.Request(tool="../etc"))
     assert response.error_code == SetTool.Response.INVALID_NAME
     assert cell.call(cell.attach, SetTool.Request(tool="")).success
-    light = cell.fresh_wrenches(400).mean(axis=0)
-    assert np.all(np.abs(light - bare) < 5 * SIGMA * np.sqrt(2 / 400))
 
 
 def test_a_trajectory_moves_the_arm_and_an_empty_one_stops_it(cell):
@@ -312,11 +286,6 @@ def test_a_bad_trajectory_is_rejected_and_told(cell):
     assert cell.value("trajectories_rejected") == "1"
     assert cell.value("state") == "trajectory_rejected"
     assert np.allclose(cell.positions(), GALEN.home, atol=1e-9)
-    cell.send(["wrist"], [0.1], 1.0)
-    cell.wait(
-        lambda: any("unknown joint 'wrist'" in status.message for status in cell.diagnostics),
-        "the second rejection",
-    )
     # A good one clears it.
     cell.send(["tilt"], [0.1], 0.5)
     cell.wait(lambda: cell.diagnostics[-1].message == "running", "the all-clear")
@@ -364,49 +333,22 @@ def test_robot_description_reaches_a_late_subscriber_with_the_tip(cell):
         )
     )
     cell.wait(lambda: received, "the description")
-    robot = ElementTree.fromstring(received[-1].data)
-    links = {link.get("name") for link in robot.iter("link")}
-    assert {"base_link", "delta_platform", "roll_link", "ft_sensor", "tool_tip"} <= links
-    (tip,) = [
-        joint for joint in robot.iter("joint") if joint.find("child").get("link") == "tool_tip"
-    ]
-    xyz = [float(value) for value in tip.find("origin").get("xyz").split()]
-    assert xyz == pytest.approx(TOOLS["pointer"].tip_m)
+    assert received[-1].data == galen_urdf(GALEN, TOOLS["pointer"].tip_m)
 
 
-def test_admittance_does_not_move_without_a_compensated_wrench(cell):
-    cell.call(cell.attach, SetTool.Request(tool="retractor"))
-    assert cell.call(cell.admittance, SetBool.Request(data=True)).success
-    start = len(cell.joints)
-    cell.wait(lambda: len(cell.joints) > start + 500, "a second")
-    assert np.allclose(cell.positions(), GALEN.home, atol=1e-9)
-    # A wrench that is old, or in another frame, is none either.
-    message = WrenchStamped()
-    message.header.frame_id = "ft_sensor"
-    message.wrench.force.x = 10.0
-    fill_stamp(message.header.stamp, stamp_to_ns(cell.wrenches[-1].header.stamp) - 10**9)
-    cell.compensated.publish(message)
-    message.header.frame_id = "base_link"
-    message.header.stamp = cell.wrenches[-1].header.stamp
-    cell.compensated.publish(message)
-    cell.wait(
-        lambda: any("frame 'base_link'" in status.message for status in cell.diagnostics),
-        "the wrong frame on /diagnostics",
-    )
-    start = len(cell.joints)
-    cell.wait(lambda: len(cell.joints) > start + 200, "more samples")
-    assert np.allclose(cell.positions(), GALEN.home, atol=1e-9)
-
-
-def test_admittance_follows_the_compensated_wrench(harness):
+def test_admittance_follows_the_compensated_wrench_of_its_own_frame(harness):
     # A generous time-out: how late an answer may be is the plant's test.
     cell = Cell(harness, admittance_timeout_s=0.5)
     cell.call(cell.attach, SetTool.Request(tool="retractor"))
     # At home the sensor's z is base_link's x. No torque about the tip: tau = tip x f.
     push = np.array([0.0, 0.0, 2.0])
     wrench = np.concatenate([push, np.cross(TOOLS["retractor"].tip_m, push)])
+    assert cell.call(cell.admittance, SetBool.Request(data=True)).success
+    cell.answer_wrenches_with(lambda raw: wrench, "base_link")
+    words = "frame 'base_link'"
+    cell.wait(lambda: any(words in s.message for s in cell.diagnostics), "the wrong frame")
+    assert np.allclose(cell.positions(), GALEN.home, atol=1e-9)
     cell.answer_wrenches_with(lambda raw: wrench)
-    cell.call(cell.admittance, SetBool.Request(data=True))
     cell.wait(lambda: cell.positions()[0] > 0.01, "the tip to go with the push")
     cell.answer_wrenches_with(None)
     cell.wait(lambda: not cell.velocities().any(), "rest when the topic is silent")
@@ -436,11 +378,6 @@ def test_pushes_on_request_along_the_axes_of_base_link(harness):
     cell.wait(lambda: abs(wrench_to_array(cell.wrenches[-1])[2] - before[2]) < 0.2, "its end")
     assert cell.call(cell.hand, Trigger.Request()).success
     cell.wait(lambda: wrench_to_array(cell.wrenches[-1])[2] - before[2] < -5.8, "the script's push")
-    for bad in (
-        PushTool.Request(force_n=[np.nan, 0.0, 0.0], rise_s=0.3, hold_s=1.0, fall_s=0.3),
-        PushTool.Request(force_n=[1.0, 0.0, 0.0], rise_s=-0.3, hold_s=1.0, fall_s=0.3),
-        PushTool.Request(force_n=[1.0, 0.0, 0.0]),
-    ):
-        answer = cell.call(push, bad)
-        assert (answer.success, answer.error_code) == (False, PushTool.Response.BAD_INPUT)
-        assert answer.error_msg
+    answer = cell.call(push, PushTool.Request(force_n=[1.0, 0.0, 0.0]))  # without a duration
+    assert (answer.success, answer.error_code) == (False, PushTool.Response.BAD_INPUT)
+    assert answer.error_msg

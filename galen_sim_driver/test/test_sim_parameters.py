@@ -7,24 +7,26 @@ import numpy as np
 import pytest
 from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
-from galen_sim_driver.parameters import DriverParameters
+from galen_sim_driver.parameters import DriverParameters, EffectParameters, effects_of
 from galen_sim_driver.plant.cell import Plant
 from galen_sim_driver.plant.config import PlantConfig
 from galen_sim_driver.ros.node import Pacer, SpeedMeter
+from sim_bench import run
 
 DEFAULT = DriverParameters()
 
 
-def test_the_defaults_are_the_nominal_cell():
+def test_the_defaults_are_the_nominal_cell_without_effects():
     DEFAULT.validate()
+    assert effects_of(EffectParameters()) == ()
 
-    def run(config):
+    def samples(config):
         plant = Plant(config, np.random.default_rng(1))
         plant.attach_tool("retractor")
         plant.start_hand()
-        return [plant.step() for _ in range(1000)]
+        return run(plant, 600)
 
-    assert run(DEFAULT.plant_config(arm=GALEN)) == run(PlantConfig(arm=GALEN))
+    assert samples(DEFAULT.plant_config(arm=GALEN)) == samples(PlantConfig(arm=GALEN))
 
 
 def test_tools_and_hand_are_read_from_flat_lists():

@@ -1,31 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """The plant: its reading, noise, encoders, commands and determinism."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from galen_model.arm.galen import ENCODER_QUANTUM, GALEN, SENSOR
 from galen_model.load.model import ADAPTER, TOOLS, Load, ToolGeometry, nominal_reading
 from galen_model.registration import move_wrench
 from galen_sim_driver.effects.effect import ConfigError
-from galen_sim_driver.plant.cell import Plant
-from galen_sim_driver.plant.config import HandPush, PlantConfig, PlantError, acceleration_limits
+from galen_sim_driver.plant.config import HandPush, PlantError, acceleration_limits
 from galen_sim_driver.plant.motion import Trajectory, TrajectoryPoint
+from sim_bench import EXACT, TURNED, make_plant, run, to_rest
 
-EXACT = {"noise": False, "quantise": False}
-TURNED = (0.03, -0.05, 0.45, 0.8, -0.6)
-
-
-def make_plant(seed=0, **changes):
-    return Plant(replace(PlantConfig(arm=GALEN), **changes), np.random.default_rng(seed))
+SIGMA = np.sqrt(SENSOR.noise_std**2 + SENSOR.quantum**2 / 12)
 
 
-def go_to(plant, joints, duration_s=2.0, steps=1500):
-    plant.command(
-        Trajectory(GALEN.joint_names, [TrajectoryPoint(duration_s, joints, [0.0] * 5, [0.0] * 5)])
-    )
-    return [plant.step() for _ in range(steps)]
+def go_to(plant, joints, steps=1500):
+    plant.command(to_rest(joints, 2.0))
+    return run(plant, steps)
 
 
 # --- the reading ------------------------------------------------------------------------------
@@ -36,8 +27,7 @@ def test_the_reading_is_the_nominal_model_exactly(tool):
     rng = np.random.default_rng(7)
     load = TOOLS[tool].load if tool else Load(0.0)
     for roll, tilt in rng.uniform([-1.57, -1.04], [1.57, 0.96], (20, 2)):
-        plant = make_plant(**EXACT, start_joints=(0.0, 0.0, 0.4, roll, tilt))
-        plant.attach_tool(tool)
+        plant = make_plant(tool, **EXACT, start_joints=(0.0, 0.0, 0.4, roll, tilt))
         expected = nominal_reading(np.stack([roll, tilt], axis=-1), load, ADAPTER, arm=GALEN)
         assert np.abs(plant.step().wrench - expected).max() < 1e-12
 
@@ -46,11 +36,10 @@ def test_the_reading_holds_the_hands_push_in_both_frames():
     force, torque = (3.0, -2.0, 1.5), (0.02, -0.01, 0.03)
     for frame in ("base", "tip"):
         push = HandPush(0.0, 1.0, force, torque, frame, ramp_s=0.1)
-        plant = make_plant(**EXACT, start_joints=TURNED, hand=[push])
-        plant.attach_tool("retractor")
+        plant = make_plant("retractor", **EXACT, start_joints=TURNED, hand=[push])
         untouched = np.array(plant.step().wrench)
         plant.start_hand()
-        wrench = np.array([plant.step() for _ in range(250)][-1].wrench)
+        wrench = np.array(run(plant, 250)[-1].wrench)
         rotation, _ = GALEN.sensor_pose(TURNED)
         at_tip = np.array([*force, *torque])
         if frame == "base":
@@ -58,18 +47,17 @@ def test_the_reading_holds_the_hands_push_in_both_frames():
         expected = move_wrench(at_tip, np.eye(3), TOOLS["retractor"].tip_m)
         assert np.abs(wrench - untouched - expected).max() < 1e-12
         # And it lets go again.
-        after = np.array([plant.step() for _ in range(300)][-1].wrench)
+        after = np.array(run(plant, 300)[-1].wrench)
         assert np.abs(after - untouched).max() < 1e-12
         assert not plant.hand_active
 
 
 def test_a_single_push_rises_holds_and_falls_in_its_own_times():
-    plant = make_plant(**EXACT)
-    plant.attach_tool("pointer")
-    weight = np.array(plant.step().wrench)
+    plant = make_plant("pointer", **EXACT)
+    weight = plant.step().wrench[0]
     plant.push(HandPush(0.0, 1.0, (0.0, 0.0, 6.0), ramp_s=0.2, fall_s=0.4))
     # At home base_link's z is the sensor's -x.
-    force = weight[0] - np.array([plant.step().wrench[0] for _ in range(600)])
+    force = weight - np.array([sample.wrench[0] for sample in run(plant, 600)])
     assert force[49] == pytest.approx(3.0, abs=0.1)  # half way up at 0.1 s
     assert force[100:299] == pytest.approx(6.0)
     assert force[399] == pytest.approx(3.0, abs=0.1)  # half way down at 0.8 s
@@ -98,13 +86,12 @@ def test_a_single_push_waits_for_no_other_and_must_make_sense():
 
 def test_noise_has_the_configured_size_quantum_included():
     plant = make_plant(seed=5)
-    count = 20_000
-    readings = np.array([plant.step().wrench for _ in range(count)])
-    sigma = np.sqrt(SENSOR.noise_std**2 + SENSOR.quantum**2 / 12)
+    count = 6000
+    readings = np.array([sample.wrench for sample in run(plant, count)])
     # Five standard deviations of a standard deviation and of a mean of this many samples.
-    assert np.all(np.abs(readings.std(axis=0) / sigma - 1) < 5 / np.sqrt(2 * count))
+    assert np.all(np.abs(readings.std(axis=0) / SIGMA - 1) < 5 / np.sqrt(2 * count))
     expected = nominal_reading((0.0, 0.0), Load(0.0), ADAPTER, arm=GALEN)
-    assert np.all(np.abs(readings.mean(axis=0) - expected) < 5 * sigma / np.sqrt(count))
+    assert np.all(np.abs(readings.mean(axis=0) - expected) < 5 * SIGMA / np.sqrt(count))
     # White: neighbouring samples have nothing to do with each other.
     centred = readings - readings.mean(axis=0)
     correlation = (centred[1:] * centred[:-1]).mean(axis=0) / readings.var(axis=0)
@@ -113,8 +100,7 @@ def test_noise_has_the_configured_size_quantum_included():
 
 def test_the_sensor_clips_at_its_range_before_the_zero():
     heavy = ToolGeometry(Load(20.0, np.array([0.2, 0.0, 0.0])), np.zeros(3))
-    plant = make_plant(**EXACT, tools={"heavy": heavy})
-    plant.attach_tool("heavy")
+    plant = make_plant("heavy", **EXACT, tools={"heavy": heavy})
     # At home gravity is along the sensor's x: 20.1 kg pull with 197 N, beyond 125 N.
     zero = ADAPTER.mass_kg * 9.80665
     assert plant.step().wrench[0] == pytest.approx(125.0 - zero, abs=1e-12)
@@ -124,20 +110,17 @@ def test_the_sensor_clips_at_its_range_before_the_zero():
 
 
 def test_zeroing_subtracts_the_mean_of_the_window():
-    plant = make_plant(seed=2, start_joints=TURNED)
-    plant.attach_tool("pointer")
-    before = [plant.step() for _ in range(10)]
-    assert np.abs(before[-1].wrench[0]) > 0.1
+    plant = make_plant("pointer", 2, start_joints=TURNED)
+    assert np.abs(run(plant, 10)[-1].wrench[0]) > 0.1
     zeroing = plant.start_zeroing(0.5)
-    during = np.array([plant.step().wrench for _ in range(250)])
+    during = np.array([sample.wrench for sample in run(plant, 250)])
     assert zeroing.done and zeroing.error is None
-    after = np.array([plant.step().wrench for _ in range(5000)])
+    after = np.array([sample.wrench for sample in run(plant, 1000)])
     # What the mean of the window was is subtracted from then on.
-    sigma = np.sqrt(SENSOR.noise_std**2 + SENSOR.quantum**2 / 12)
     deviation = np.abs(after.mean(axis=0))
-    assert np.all(deviation < 5 * sigma * np.sqrt(1 / 250 + 1 / 5000))
+    assert np.all(deviation < 5 * SIGMA * np.sqrt(1 / 250 + 1 / 1000))
     expected = nominal_reading((0.8, -0.6), TOOLS["pointer"].load, ADAPTER, arm=GALEN)
-    assert np.all(np.abs(during.mean(axis=0) - expected) < 5 * sigma / np.sqrt(250))
+    assert np.all(np.abs(during.mean(axis=0) - expected) < 5 * SIGMA / np.sqrt(250))
     assert plant.zero_angles == [0.8, -0.6]
 
 
@@ -145,8 +128,7 @@ def test_zeroing_without_noise_is_the_contracts_bias():
     plant = make_plant(**EXACT, start_joints=TURNED)
     plant.step()
     plant.start_zeroing(0.1)
-    for _ in range(50):
-        plant.step()
+    run(plant, 50)
     plant.attach_tool("retractor")
     samples = go_to(plant, (0.0, 0.0, 0.408, -0.5, 0.4))
     expected = nominal_reading(
@@ -184,25 +166,14 @@ def test_zeroing_is_rejected_or_spoilt_by_motion():
 # --- motion ------------------------------------------------------------------------------
 
 
-def test_a_quintic_to_a_pose_arrives_exactly_and_in_time():
-    plant = make_plant()
-    samples = go_to(plant, TURNED)
-    assert samples[-1].true_joints == list(TURNED)
-    at_end = samples[999]
-    assert at_end.stamp_ns == PlantConfig(arm=GALEN).start_ns + 2_000_000_000
-    assert at_end.true_joints == list(TURNED)
-    assert samples[998].true_joints != list(TURNED)
-    assert not plant.moving
-
-
 def test_a_stop_brakes_at_the_limit_and_stays():
     plant = make_plant()
     go_to(plant, (0.1, 0.0, 0.408, 1.5, 0.0), steps=500)
     before = plant.step()
     assert before.true_velocities[3] > 1.0
     plant.command(Trajectory([], []))
-    samples = [plant.step() for _ in range(500)]
-    velocities = np.array([before.true_velocities] + [s.true_velocities for s in samples])
+    samples = run(plant, 500)
+    velocities = np.array([s.true_velocities for s in [before, *samples]])
     steps = np.diff(velocities, axis=0)
     assert np.all(np.abs(steps) <= np.array(acceleration_limits(GALEN)) * 0.002 * (1 + 1e-6))
     assert np.all(steps <= 1e-12)
@@ -218,7 +189,7 @@ def test_a_new_trajectory_takes_over_smoothly_and_unnamed_joints_stop():
     samples = go_to(plant, (0.1, 0.0, 0.408, 1.2, -0.5), steps=500)
     velocity_before = samples[-1].true_velocities
     plant.command(Trajectory(["tilt"], [TrajectoryPoint(1.0, [0.3], [0.0], [0.0])]))
-    later = [plant.step() for _ in range(1000)]
+    later = run(plant, 1000)
     tilt_velocities = [velocity_before[4]] + [s.true_velocities[4] for s in later]
     assert np.abs(np.diff(tilt_velocities)).max() < 6.0 * 0.002 * (1 + 1e-6)
     assert later[0].true_velocities[4] == pytest.approx(velocity_before[4], abs=6.0 * 0.002)
@@ -232,7 +203,7 @@ def test_a_bad_trajectory_changes_nothing():
     go_to(plant, TURNED, steps=100), go_to(other, TURNED, steps=100)
     with pytest.raises(PlantError, match="tilt at 2"):
         plant.command(Trajectory(["tilt"], [TrajectoryPoint(1.0, [2.0])]))
-    assert [plant.step() for _ in range(200)] == [other.step() for _ in range(200)]
+    assert run(plant, 200) == run(other, 200)
 
 
 # --- what is reported ------------------------------------------------------------------------
@@ -256,26 +227,11 @@ def test_stamps_and_encoders():
     assert velocities[-1].tolist() == [0.0] * 5
 
 
-def test_tools_come_and_go():
-    plant = make_plant(**EXACT)
-    bare = np.array(plant.step().wrench)
-    assert plant.attach_tool("retractor") is TOOLS["retractor"]
-    heavy = np.array(plant.step().wrench)
-    # At home gravity is along the sensor's x.
-    assert heavy[0] - bare[0] == pytest.approx(0.2 * 9.80665, abs=1e-12)
-    with pytest.raises(PlantError, match=r"'knife'.*pointer, retractor"):
-        plant.attach_tool("knife")
-    assert plant.tool == "retractor"
-    assert plant.attach_tool("") is None
-    assert np.abs(plant.step().wrench - bare).max() < 1e-12
-
-
 def test_the_seed_decides_everything():
     def samples(seed):
-        plant = make_plant(seed)
-        plant.attach_tool("pointer")
+        plant = make_plant("pointer", seed)
         plant.start_hand()
-        return go_to(plant, TURNED, steps=700)
+        return go_to(plant, TURNED, steps=300)
 
     first, again, other = samples(4), samples(4), samples(5)
     assert first == again
@@ -283,13 +239,10 @@ def test_the_seed_decides_everything():
 
 
 def test_the_trackers_rate_does_not_change_the_sensors_noise():
-    slow = make_plant(tracker_rate_hz=60.0)
-    fast = make_plant(tracker_rate_hz=300.0)
-    slow_samples = [slow.step() for _ in range(3000)]
-    fast_samples = [fast.step() for _ in range(3000)]
-    assert [s.wrench for s in slow_samples] == [s.wrench for s in fast_samples]
-    assert sum(s.tracker is not None for s in slow_samples) == 360
-    assert sum(s.tracker is not None for s in fast_samples) == 1800
+    slow, fast = (run(make_plant(tracker_rate_hz=rate_hz), 500) for rate_hz in (60.0, 300.0))
+    assert [s.wrench for s in slow] == [s.wrench for s in fast]
+    assert sum(s.tracker is not None for s in slow) == 60
+    assert sum(s.tracker is not None for s in fast) == 300
 
 
 @pytest.mark.parametrize(
@@ -311,17 +264,11 @@ def test_bad_configurations_are_named(changes, words):
 # --- admittance ------------------------------------------------------------------------------
 
 
-def pushed_tip_path(push, tool="pointer", start=TURNED, seconds=1.0):
+def pushed_tip_path(push, start=TURNED, seconds=1.0):
     """Tip positions (n, 3) and the plant, while the hand pushes a weightless tool."""
-    light = ToolGeometry(Load(0.0), TOOLS[tool].tip_m)
-    plant = make_plant(
-        **EXACT,
-        start_joints=start,
-        tools={tool: light},
-        adapter=Load(0.0),
-        hand=[push],
-    )
-    plant.attach_tool(tool)
+    light = ToolGeometry(Load(0.0), TOOLS["pointer"].tip_m)
+    changes = {"start_joints": start, "tools": {"light": light}, "hand": [push]}
+    plant = make_plant("light", **EXACT, adapter=Load(0.0), **changes)
     plant.set_admittance(True)
     plant.start_hand()
     path = []
@@ -352,14 +299,13 @@ def test_a_torque_about_the_roll_axis_rolls_and_leaves_the_tip():
 
 
 def test_without_or_with_a_stale_wrench_nothing_moves():
-    plant = make_plant(**EXACT)
-    plant.attach_tool("retractor")
+    plant = make_plant("retractor", **EXACT)
     plant.set_admittance(True)
-    assert [plant.step() for _ in range(100)][-1].true_joints == GALEN.home.tolist()
+    assert run(plant, 100)[-1].true_joints == GALEN.home.tolist()
     # One wrench: it counts for 50 ms, then the arm stops.
     at_tip = [5.0, 0.0, 0.0, 0.0, 0.0, 0.0]
     plant.admittance.feed(plant.now_ns, move_wrench(at_tip, np.eye(3), TOOLS["retractor"].tip_m))
-    samples = [plant.step() for _ in range(500)]
+    samples = run(plant, 500)
     assert any(samples[20].true_velocities)
     assert samples[-1].true_velocities == [0.0] * 5
     # The offset gained speed for 50 ms at half the joint's 1 m/s^2, towards 0.05 m/s, and lost it
@@ -370,11 +316,11 @@ def test_without_or_with_a_stale_wrench_nothing_moves():
     still = samples[-1].true_joints
     for stamp_ns, value in ((plant.now_ns, float("nan")), (plant.now_ns + 10**9, 5.0)):
         plant.admittance.feed(stamp_ns, [value] * 6)
-        assert [plant.step() for _ in range(50)][-1].true_joints == still
+        assert run(plant, 50)[-1].true_joints == still
 
 
 def test_admittance_keeps_the_joints_limits():
-    path, plant = pushed_tip_path(HandPush(0.0, 30.0, (120.0, 0.0, 0.0)), seconds=6.0)
+    path, plant = pushed_tip_path(HandPush(0.0, 30.0, (120.0, 0.0, 0.0)), seconds=2.0)
     sample = plant.step()
     assert sample.true_joints[0] == pytest.approx(0.14, abs=1e-12)
     velocities = np.diff(path, axis=0) / 0.002
@@ -388,25 +334,20 @@ def test_trajectories_turn_the_arm_in_admittance_mode_and_its_end_stops_it():
     drifted = plant.step().true_joints
     assert drifted[0] > 0.03
     plant.command(Trajectory(["roll"], [TrajectoryPoint(1.0, [0.7], [0.0], [0.0])]))
-    turned = [plant.step() for _ in range(600)][-1].true_joints
+    turned = run(plant, 600)[-1].true_joints
     assert turned[3] == pytest.approx(0.7 + drifted[3], abs=1e-9)
     assert turned[0] == pytest.approx(drifted[0], abs=1e-9)
     plant.set_admittance(False)
-    assert [plant.step() for _ in range(100)][-1].true_joints == pytest.approx(turned)
+    assert run(plant, 100)[-1].true_joints == pytest.approx(turned)
     # From then on targets are absolute again.
     assert go_to(plant, start)[-1].true_joints == list(start)
 
 
 def noisy_turn(seed, admittance):
     """Roll and tilt (n, 2) on a fast turn, with or without following the sensor's noise."""
-    plant = make_plant(seed)
-    plant.attach_tool("retractor")
-    go_to(plant, [0.0, 0.0, 0.408, 0.8, -0.6], duration_s=2.0, steps=1100)
+    plant = make_plant("retractor", seed, start_joints=(0.0, 0.0, 0.408, 0.8, -0.6))
     plant.set_admittance(admittance)
-    target = [0.0, 0.0, 0.408, 0.0, 0.6]
-    plant.command(
-        Trajectory(GALEN.joint_names, [TrajectoryPoint(2.0, target, [0.0] * 5, [0.0] * 5)])
-    )
+    plant.command(to_rest([0.0, 0.0, 0.408, 0.0, 0.6], 2.0))
     way = []
     for _ in range(1000):
         sample = plant.step()

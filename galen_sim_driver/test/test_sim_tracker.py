@@ -2,7 +2,6 @@
 """Rotations in plain floats; the tracker: geometry, deflection and noise."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,29 +9,12 @@ from galen_model.arm.galen import GALEN
 from galen_model.load.model import TOOLS
 from galen_model.registration import move_wrench
 from galen_model.rotation import matrix_to_rotvec, quaternion_to_matrix, rotvec_to_matrix
-from galen_sim_driver.plant.cell import Plant
-from galen_sim_driver.plant.config import BASE_IN_TRACKER, BASE_MARKER, HandPush, PlantConfig, Pose
-from galen_sim_driver.plant.geometry import (
-    from_rotvec,
-    multiply,
-    rotate,
-    rotate_back,
-    rotate_by,
-    sensor_matrix,
-    to_quaternion,
-)
+from galen_sim_driver.plant.config import BASE_IN_TRACKER, BASE_MARKER, HandPush, Pose
+from galen_sim_driver.plant.geometry import from_rotvec, multiply, rotate_by, to_quaternion
+from sim_bench import TURNED, make_plant, run
 
-TURNED = (0.03, -0.05, 0.45, 0.8, -0.6)
-QUIET = {"noise": False}
+QUIET = {"noise": False, "start_joints": TURNED}
 RNG = np.random.default_rng(11)
-POSES = RNG.uniform(GALEN.lower, GALEN.upper, (25, 5))
-
-
-def make_plant(seed=0, **changes):
-    config = replace(PlantConfig(arm=GALEN), start_joints=TURNED, **changes)
-    plant = Plant(config, np.random.default_rng(seed))
-    plant.attach_tool("pointer")
-    return plant
 
 
 def look(plant):
@@ -57,7 +39,7 @@ def of_marker(marker):
 
 def test_markers_are_where_the_configuration_puts_them():
     tool_marker = Pose((0.01, -0.02, 0.03), (0.3, -0.2, 0.5))
-    tool_seen, base_seen = look(make_plant(**QUIET, tool_marker=tool_marker))
+    tool_seen, base_seen = look(make_plant("pointer", **QUIET, tool_marker=tool_marker))
     rotation, tip = GALEN.tip_pose(TURNED, TOOLS["pointer"].tip_m)
     base = of_pose(BASE_IN_TRACKER)
     assert np.allclose(of_marker(base_seen), base @ of_pose(BASE_MARKER), atol=1e-12)
@@ -72,12 +54,11 @@ def test_markers_are_where_the_configuration_puts_them():
 )
 def test_a_push_deflects_the_tip_as_the_stiffness_says(force, torque, frame):
     push = HandPush(0.0, 1.0, force, torque, frame, ramp_s=0.1)
-    plant = make_plant(**QUIET, hand=[push])
+    plant = make_plant("pointer", **QUIET, hand=[push])
     base = of_pose(BASE_IN_TRACKER)
     still = np.linalg.inv(base) @ of_marker(look(plant)[0])
     plant.start_hand()
-    for _ in range(200):
-        plant.step()
+    run(plant, 200)
     pushed = np.linalg.inv(base) @ of_marker(look(plant)[0])
 
     tip_m = TOOLS["pointer"].tip_m
@@ -97,9 +78,9 @@ def test_a_push_deflects_the_tip_as_the_stiffness_says(force, torque, frame):
 
 
 def test_noise_has_the_configured_size_in_each_axis():
-    plant = make_plant(seed=3)
-    quiet = look(make_plant(**QUIET))
-    samples = [look(plant) for _ in range(2000)]
+    plant = make_plant("pointer", 3, start_joints=TURNED, tracker_rate_hz=500.0)
+    quiet = look(make_plant("pointer", **QUIET))
+    samples = [sample.tracker for sample in run(plant, 2000)]
     for marker in range(2):  # the tool's, the base's
         truth = of_marker(quiet[marker])
         seen = [of_marker(sample[marker]) for sample in samples]
@@ -112,16 +93,6 @@ def test_noise_has_the_configured_size_in_each_axis():
 
 
 # --- rotations --------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("joints", POSES)
-def test_the_sensors_rotation_is_the_models(joints):
-    matrix = sensor_matrix(GALEN, joints)
-    expected = GALEN.rotation(joints[3:])
-    assert np.allclose(np.reshape(matrix, (3, 3)), expected, atol=1e-14)
-    vector = RNG.normal(size=3)
-    assert np.allclose(rotate(matrix, vector), expected @ vector, atol=1e-14)
-    assert np.allclose(rotate_back(matrix, vector), expected.T @ vector, atol=1e-14)
 
 
 def test_quaternions():
