@@ -2,8 +2,8 @@
 """Probabilities of hypotheses: none, effects alone and together, and something that isn't listed.
 
 The few numbers of the evidence that are not physics are calibrated on simulated recordings:
-`python -m galen_validation.calibrate_diagnosis` makes `calibration.json`; causes, sessions and
-unknown kinds there are others than those of `blind_check`.
+`python -m galen_validation.calibrate_diagnosis` makes `calibration.json`; sessions and unknown
+kinds there are others than those of `blind_check`.
 
 With E_h the energy that a hypothesis' fit leaves, what its models may be off (`discrepancy.py`)
 fitted beside it, the log likelihood is
