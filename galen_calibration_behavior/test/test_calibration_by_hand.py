@@ -43,8 +43,7 @@ class Operator:
 
     def __init__(self, *, settings=SETTINGS, one_sweep=False, zero=True, seed=1) -> None:
         self.procedure = ByHandProcedure(
-            settings,
-            CalibrationRequest("retractor", one_sweep, False, np.zeros((0, 6)), zero=zero),
+            settings, CalibrationRequest("retractor", one_sweep, False, np.zeros((0, 6)), zero=zero)
         )
         self.rng = np.random.default_rng(seed)
         self.samples = self.rng.uniform(ARM.lower, ARM.upper, (3000, 6))

@@ -3,18 +3,15 @@ import json
 import math
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta, timezone
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from calibration_fake_arm import ADAPTER, NO_TOOL, POINTER
 from galen_calibration_behavior.calibration.estimate import (
     EstimateError,
-    calibration_fields,
     choose_tip,
     estimate,
     format_mounting,
-    format_result,
     mounting_fields,
 )
 from galen_calibration_behavior.common.commands import CalibrationCode, Measurements
@@ -41,15 +38,13 @@ def still(tool, poses=POSES, seed=2, noise=2e-3):
     return StillPoses(poses, wrench, np.broadcast_to(std, exact.shape), arm=GALEN)
 
 
-def at(start_s, sweep, drift=0.0):
-    """Return the sweep 2 s a pose from start_s (s) on; drift: of the readings, std of one a s."""
-    time_s = start_s + 2.0 * np.random.default_rng(4).permutation(len(sweep))
-    walk = drift * time_s[:, None] * sweep.std_of_mean
-    return replace(sweep, wrench=sweep.wrench + walk, time_s=time_s)
+def at(start_s, sweep):
+    """Return the sweep 2 s a pose from start_s (s) on."""
+    return replace(sweep, time_s=start_s + 2.0 * np.random.default_rng(4).permutation(len(sweep)))
 
 
-def calibrate(*arguments, **options):
-    done = estimate(*arguments, **options)
+def calibrate(path, both, warnings=(), **options):
+    done = estimate(path, "pointer", TIP, both, [*warnings], **options)
     done.write()
     return done
 
@@ -67,7 +62,7 @@ def measurements(bare, tool, **changes):
 def test_two_sweeps_recover_the_load_and_write_it(tmp_path):
     path = tmp_path / "pointer.json"
     both = at(0, still(NO_TOOL, seed=1)), at(60, still(POINTER))
-    done = calibrate(path, "pointer", TIP, measurements(*both), [])
+    done = calibrate(path, measurements(*both))
     read = read_calibration(path, arm=GALEN)
     assert read.model == "constant bias"
     plain = identify_two_sweeps(*both, np.zeros(2)).load
@@ -78,19 +73,6 @@ def test_two_sweeps_recover_the_load_and_write_it(tmp_path):
     assert read.poses_used == 20
     assert done.content.poses_rejected == ()
     assert json.loads(path.read_text())["tool"] == "pointer"
-
-
-def test_a_bias_that_drifts_is_chosen_and_told_in_the_file(tmp_path):
-    path = tmp_path / "pointer.json"
-    both = [at(0, still(NO_TOOL, seed=1), 0.5), at(60, still(POINTER), 0.5)]
-    done = calibrate(path, "pointer", TIP, measurements(*both), [])
-    off = done.content.load.mass_kg - POINTER.mass_kg
-    assert abs(off) < 3 * done.content.load.mass_std_kg
-    file = read_calibration(path, arm=GALEN)
-    assert "drift" in file.model
-    assert "block" in file.model_reason
-    result = SimpleNamespace(**calibration_fields(done), tool="", file="")
-    assert f"model: {file.model}" in format_result(result)
 
 
 def test_a_rotation_that_is_chosen_unasked_is_warned_of(tmp_path, monkeypatch):
@@ -106,7 +88,7 @@ def test_a_rotation_that_is_chosen_unasked_is_warned_of(tmp_path, monkeypatch):
     monkeypatch.setattr(
         "galen_calibration_behavior.calibration.estimate.choose_calibration", choose
     )
-    done = calibrate(tmp_path / "pointer.json", "pointer", TIP, measurements(*sweeps), [])
+    done = calibrate(tmp_path / "pointer.json", measurements(*sweeps))
     mounting = read_calibration(done.path, arm=GALEN).mounting
     assert mounting.sensor_rotvec_rad == pytest.approx([0.02] * 3, abs=2e-3)
     assert any("by (1.1" in text and "push" in text for text in done.warnings)
@@ -117,9 +99,7 @@ def test_a_rotation_that_is_chosen_unasked_is_warned_of(tmp_path, monkeypatch):
 def test_parts_of_the_old_file_that_go_are_named(tmp_path):
     path = tmp_path / "pointer.json"
     sweeps = measurements(still(NO_TOOL, seed=1), still(POINTER))
-    assert not any(
-        "old file" in said for said in calibrate(path, "pointer", TIP, sweeps, []).warnings
-    )
+    assert not any("old file" in said for said in calibrate(path, sweeps).warnings)
     inertia = InertiaEstimate(np.array([1e-3, 2e-3, 2e-3, 0, 0, 0]), np.eye(6) * 1e-12)
     write_calibration(path, replace(read_calibration(path, arm=GALEN), inertia=inertia))
     (said,) = (s for s in estimate(path, "pointer", TIP, sweeps, []).warnings if "old file" in s)
@@ -128,9 +108,7 @@ def test_parts_of_the_old_file_that_go_are_named(tmp_path):
 
 
 def test_one_sweep_says_what_it_cannot_know(tmp_path):
-    done = calibrate(
-        tmp_path / "pointer.json", "pointer", TIP, measurements(None, still(POINTER)), ["before"]
-    )
+    done = calibrate(tmp_path / "pointer.json", measurements(None, still(POINTER)), ["before"])
     assert done.warnings[0] == "before"
     assert any("only their sum" in text for text in done.warnings)
     assert read_calibration(done.path, arm=GALEN).unresolved
@@ -143,28 +121,19 @@ def test_the_time_is_the_measurement_s_where_it_is_given(tmp_path):
     done = estimate(path, "pointer", TIP, both, [], calibrated_at=moment)
     assert done.content.calibrated_at == "2019-05-02T14:00:07+02:00"
     assert not path.exists()
-    calibrate(path, "pointer", TIP, both, [], calibrated_at=moment)
+    calibrate(path, both, calibrated_at=moment)
     assert read_calibration(path, arm=GALEN).calibrated_at == done.content.calibrated_at
     began = datetime.now(UTC) - timedelta(seconds=1)
-    calibrate(path, "pointer", TIP, both, [])
+    calibrate(path, both)
     assert datetime.fromisoformat(read_calibration(path, arm=GALEN).calibrated_at) > began
 
 
 def test_an_outlier_is_named_by_its_place_in_the_sweep(tmp_path):
     tool = still(POINTER)
     tool.wrench[7, 1] += 0.5
-    done = calibrate(
-        tmp_path / "pointer.json",
-        "pointer",
-        TIP,
-        measurements(
-            still(NO_TOOL, seed=1),
-            tool,
-            tool_indices=list(range(100, 120)),
-            rejected=["bare/3: moved"],
-        ),
-        [],
-    )
+    numbers = {"tool_indices": list(range(100, 120)), "rejected": ["bare/3: moved"]}
+    both = measurements(still(NO_TOOL, seed=1), tool, **numbers)
+    done = calibrate(tmp_path / "pointer.json", both)
     assert done.content.poses_rejected[0] == "bare/3: moved"
     (outlier,) = done.content.poses_rejected[1:]
     assert outlier.startswith("tool/107: ")
@@ -187,7 +156,7 @@ def test_what_can_not_be_estimated_leaves_the_old_file(tmp_path, bare, tool, cod
     path = tmp_path / "pointer.json"
     path.write_text("old")
     with pytest.raises(EstimateError) as error:
-        calibrate(path, "pointer", TIP, measurements(bare, tool), [])
+        calibrate(path, measurements(bare, tool))
     assert error.value.code == code
     assert str(error.value)
     assert path.read_text() == "old"
@@ -200,7 +169,7 @@ def test_the_tip_is_taken_kept_or_zero(tmp_path):
     tip, warnings = choose_tip(NAN, path, arm=GALEN)
     assert tip.tolist() == [0, 0, 0]
     assert "not known" in warnings[0]
-    calibrate(path, "pointer", TIP, measurements(still(NO_TOOL, seed=1), still(POINTER)), [])
+    calibrate(path, measurements(still(NO_TOOL, seed=1), still(POINTER)))
     assert choose_tip(NAN, path, arm=GALEN)[0] == pytest.approx(TIP)
     path.write_text("{")
     tip, warnings = choose_tip(NAN, path, arm=GALEN)
@@ -219,8 +188,8 @@ def test_torques_in_another_unit_are_written_only_where_it_is_said(tmp_path):
     )
     path = tmp_path / "pointer.json"
     with pytest.raises(EstimateError, match="torques are in N") as raised:
-        calibrate(path, "pointer", TIP, measurements(bare, tool), [])
+        calibrate(path, measurements(bare, tool))
     assert raised.value.code is CalibrationCode.IMPLAUSIBLE
     assert not path.exists()
-    calibrate(path, "pointer", TIP, measurements(bare, tool), [], check_setup=False)
+    calibrate(path, measurements(bare, tool), check_setup=False)
     assert path.exists()

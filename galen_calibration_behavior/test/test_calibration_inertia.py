@@ -2,109 +2,60 @@
 """`calibrate_from_bag --estimate inertia`: the file gets it and keeps the rest, or is as it was."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
-from galen_bags.formats.writer import BagWriter
 from galen_calibration_behavior.calibrate_from_bag import main
-from galen_common.cdr import joint_state_bytes, wrench_bytes
 from galen_common.command import EXIT_FAILED, EXIT_USAGE
-from galen_model.arm.galen import ENCODER_QUANTUM, GALEN, SENSOR
-from galen_model.arm.sensor_motion import sensor_motion
-from galen_model.files.calibration_file import (
-    CalibrationFile,
-    read_calibration,
-    write_calibration,
-    zeroed_at,
-)
-from galen_model.load.inertia import inertial_wrench, point_mass_inertia
-from galen_model.load.model import ADAPTER, TOOLS, LoadEstimate
+from galen_model.arm.galen import GALEN
+from galen_model.files.calibration_file import read_calibration, write_calibration
+from galen_model.load.inertia import point_mass_inertia
+from galen_model.load.model import ADAPTER, TOOLS
 
-LOAD = TOOLS["retractor"].load
-INERTIA = point_mass_inertia(LOAD, ADAPTER) + np.array([3e-4, 5e-4, 4e-4, 2e-5, -4e-5, 1e-5])
-RATES = np.array([3.1, 4.0, 3.6, 2.9, 3.7])
-
-
-def write_recording(path, size):
-    """26 s of swings at 100 Hz, each joint by its own size."""
-    times = np.arange(0.0, 26.0, 0.01)
-    angle = np.outer(times, RATES) + np.arange(5.0)
-    q = GALEN.home + size * np.sin(angle)
-    moving = sensor_motion(
-        q, size * RATES * np.cos(angle), -size * RATES**2 * np.sin(angle), arm=GALEN
-    )
-    moments = LOAD.moments + ADAPTER.moments
-    felt = GALEN.gravity_in_sensor(q[:, 3:]) - moving[2]
-    wrenches = inertial_wrench(felt, moving[0], moving[1], moments, INERTIA)
-    wrenches += SENSOR.noise_std * np.random.default_rng(1).standard_normal(wrenches.shape)
-    joints = np.round(q / ENCODER_QUANTUM) * ENCODER_QUANTUM
-    with BagWriter(path) as bag:
-        joint_topic = bag.add_topic("joint_states", "sensor_msgs/msg/JointState")
-        wrench_topic = bag.add_topic("wrench_raw", "geometry_msgs/msg/WrenchStamped")
-        states, forces = joint_state_bytes(GALEN.joint_names), wrench_bytes("ft_sensor")
-        for time_s, joint, wrench in zip(times, joints, wrenches, strict=True):
-            stamp = 1_790_000_000_000_000_000 + round(time_s * 1e9)
-            bag.write(joint_topic, stamp, states.fill(stamp, joint, np.zeros(5)))
-            bag.write(wrench_topic, stamp + 1000, forces.fill(stamp, wrench))
+BAGS = Path(__file__).resolve().parents[2] / "bags"
+OWN_KG_M2 = (2.3e-4, 5.3e-4, 4.4e-4, 0.0, -3e-5, 0.0)  # about the centres, as the bag was made
+TRUE = point_mass_inertia(TOOLS["retractor"].load, ADAPTER) + OWN_KG_M2
 
 
 @pytest.fixture
-def tools(tmp_path):
-    def estimate(load):
-        return LoadEstimate(load.mass_kg, load.com_m, np.diag([1e-5, 2e-5, 2e-5, 2e-5]) ** 2)
-
-    tool = CalibrationFile(
-        tool="retractor",
-        load=estimate(LOAD),
-        adapter=estimate(ADAPTER),
-        tip_m=np.array([0.18, 0.01, 0.05]),
-        rmse=np.full(6, 1e-3),
-        poses_used=56,
-        calibrated_at="2026-09-21T12:00:00+00:00",
-        residual_offset=np.arange(6) * 1e-3,
-        arm=GALEN,
-        zeroing=zeroed_at(arm=GALEN),
-    )
-    write_calibration(tmp_path / "retractor.json", tool)
-    return tmp_path
+def file(tmp_path):
+    """The retractor's, without an inertia."""
+    path = tmp_path / "retractor.json"
+    write_calibration(path, read_calibration(BAGS / "tools/retractor.json", arm=GALEN))
+    return path
 
 
-def run(capsys, *arguments):
+def run(capsys, tool, bag, file, *arguments):
+    options = ("--tools-dir", str(file.parent), "--estimate", "inertia")
     try:
-        code = main([str(a) for a in (*arguments, "--estimate", "inertia")])
+        code = main([tool, str(bag), *options, *arguments])
     except SystemExit as end:
         code = end.code
     captured = capsys.readouterr()
     return code, captured.out, captured.err
 
 
-def test_the_file_gets_the_inertia_and_keeps_the_rest(tools, capsys):
-    write_recording(tools / "bag", np.array([0.04, 0.04, 0.04, 0.45, 0.35]))
-    before = json.loads((tools / "retractor.json").read_text())
-    args = ("retractor", tools / "bag", "--tools-dir", tools)
-    code, out, _ = run(capsys, *args, "--dry-run", "--json")
-    assert code == 0 and json.loads((tools / "retractor.json").read_text()) == before
+def test_the_file_gets_the_inertia_and_keeps_the_rest(file, capsys):
+    before = json.loads(file.read_text())
+    code, out, _ = run(capsys, "retractor", BAGS / "swings", file, "--json")
     found = json.loads(out)
-    assert found["agrees_with_file"] and found["blocks_left_out"] == 0
-    code, out, _ = run(capsys, *args)
-    assert code == 0 and "one standard deviation" in out and "written" in out
-    estimate = read_calibration(tools / "retractor.json", arm=GALEN).inertia
-    error = estimate.about_sensor_kg_m2 - INERTIA
-    assert np.all(np.abs(error) < 4.5 * estimate.std_kg_m2)
-    after = json.loads((tools / "retractor.json").read_text())
+    assert code == 0 and found["agrees_with_file"] and found["blocks_left_out"] == 0
+    estimate = read_calibration(file, arm=GALEN).inertia
+    assert np.all(np.abs(estimate.about_sensor_kg_m2 - TRUE) < 4.5 * estimate.std_kg_m2)
+    after = json.loads(file.read_text())
     assert after.pop("inertia") and after == before
 
 
-def test_what_is_not_told_or_not_there_is_one_line_and_nothing_is_written(tools, capsys):
-    write_recording(tools / "bag", np.array([0.04, 0.04, 0.04, 0.0, 0.35]))
-    before = (tools / "retractor.json").read_bytes()
-    for args, message in (
-        (("retractor", tools / "bag"), "does not tell the inertia's xx"),
-        (("pointer", tools / "bag"), "pointer.json: can't be read"),
-        (("retractor", tools / "no_bag"), "no_bag"),
+def test_what_is_not_told_or_not_there_is_one_line_and_nothing_is_written(file, capsys):
+    before = file.read_bytes()
+    for tool, bag, message in (
+        ("retractor", "retractor_calibration", "blocks of 0.5 s disagree with the rest"),
+        ("pointer", "swings", "pointer.json: can't be read"),
+        ("retractor", "no_bag", "no_bag"),
     ):
-        code, out, err = run(capsys, *args, "--tools-dir", tools)
+        code, out, err = run(capsys, tool, BAGS / bag, file)
         assert (code, out) == (EXIT_FAILED, "")
         assert message in err and err.count("\n") == 1
-    assert run(capsys, "../x", tools / "bag")[0] == EXIT_USAGE
-    assert (tools / "retractor.json").read_bytes() == before
+    assert run(capsys, "../x", BAGS / "swings", file)[0] == EXIT_USAGE
+    assert file.read_bytes() == before

@@ -47,7 +47,6 @@ def test_joint_zeros_are_written_and_told(tmp_path):
     mounting = read_calibration(path, arm=GALEN).mounting
     error = mounting.joint_zero_rad - ZERO
     assert np.all(np.abs(error) < 4.0 * mounting.std[12:])
-    assert done.worth is not None
     assert done.worth.pays
     assert not any("do not pay" in text for text in done.warnings)
     text = format_mounting(done)
@@ -56,6 +55,14 @@ def test_joint_zeros_are_written_and_told(tmp_path):
     fields = mounting_fields(done)
     assert fields["held_out"]["pays"] is True
     assert fields["joint_zero_rad"]["roll"] == pytest.approx(mounting.joint_zero_rad[0])
+
+
+def test_joint_zeros_that_do_not_pay_are_warned_of(tmp_path):
+    request, healthy = MountingRequest(("joint_zero",)), measured(np.zeros(2))
+    path = tmp_path / "pointer.json"
+    done = estimate(path, "pointer", np.zeros(3), healthy, [], mounting=request)
+    assert not done.worth.pays
+    assert any("do not pay" in text for text in done.warnings)
 
 
 def test_what_the_poses_can_not_tell_writes_nothing(tmp_path):

@@ -49,7 +49,7 @@ def counts(sweeps):
     return len(sweeps.measurements.bare), len(sweeps.measurements.tool)
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("tool", [POINTER, RETRACTOR])
 def test_both_loads_come_out_as_well_as_they_say_and_the_border_where_the_tool_came_on(tool, seed):
     tape = Tape(seed)
@@ -104,7 +104,7 @@ def test_a_whole_sweep_before_the_zeroing_is_another_recording():
     assert error_squared(loads(sweeps).load, POINTER) < CHI2_4
 
 
-def touched_at(pose, touch, again=False):
+def touched_at(pose, touch):
     """A calibration whose pose of this number in the tool's sweep is touched."""
     tape = Tape().stay(1.0).zero().stay(1.0).sweep(POSES).move((0.0, 0.0)).stay(1.0)
     tape.tool = POINTER
@@ -112,8 +112,7 @@ def touched_at(pose, touch, again=False):
     tape.touch = touch
     tape.sweep([POSES[pose]])
     tape.touch = lambda _: np.zeros(6)
-    tape.sweep(POSES[pose + 1 :])
-    return tape.sweep([POSES[pose]]) if again else tape
+    return tape.sweep(POSES[pose + 1 :])
 
 
 def shaken(time_s):
@@ -134,14 +133,6 @@ def test_a_touched_pose_is_rejected_with_its_reason_and_the_rest_is_as_good(touc
     content = found(sweeps).content
     assert content.poses_rejected == (text,)
     assert error_squared(content.load, POINTER) < CHI2_4
-
-
-def test_a_pose_that_was_visited_again_is_not_lost():
-    sweeps = two_sweeps(touched_at(5, shaken, again=True))
-    assert counts(sweeps) == (len(POSES), len(POSES))
-    assert sweeps.measurements.rejected == []
-    assert sweeps.measurements.tool_indices[-1] == 5
-    assert [bool(p.fault) for p in sweeps.poses if p.sweep == "tool" and p.number == 5] == [1, 0]
 
 
 def test_a_steady_push_is_the_fit_s_to_find():

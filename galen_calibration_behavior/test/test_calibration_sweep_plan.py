@@ -23,12 +23,7 @@ from galen_model.load.model import ADAPTER, TOOLS, gravity_regressor, gravity_wr
 from galen_model.load.pose_order import drift_price, drift_warning
 from galen_model.load.readings import StillPoses
 from galen_model.poses.design import reading_noise
-from galen_model.poses.plan import (
-    make_router,
-    order_poses,
-    quintic_duration_s,
-    sweep_grid,
-)
+from galen_model.poses.plan import make_router, order_poses, quintic_duration_s, sweep_grid
 from test_calibration_procedure import World
 
 GRID = CalibrationParameters()

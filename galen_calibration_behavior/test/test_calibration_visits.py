@@ -8,7 +8,6 @@ import pytest
 from calibration_tape import NO_TOOL, NS, POINTER, Tape, grid
 from galen_calibration_behavior.common.parameters import CalibrationParameters
 from galen_calibration_behavior.from_bag.visits import find_visits
-from galen_common.goal.arrival import PoseRejection
 from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
 from galen_model.load.model import ADAPTER, gravity_wrench
@@ -58,23 +57,6 @@ def test_a_jump_of_the_stamps_inside_an_average_rejects_the_pose_and_is_told():
         f"time stamps jumped 1 times; the last: the stamps of {topic} jumped by -29.990 s"
         for topic in ("joint_states", "wrench_raw")
     ]
-
-
-def test_wrenches_missing_inside_an_average_reject_it():
-    recording = Tape(tool=POINTER).sweep(POSES[:3]).recording()
-    kept = np.ones(len(recording.wrenches), dtype=bool)
-    kept[260:275] = False  # 0.6 s after the arrival at the second pose
-    kept = {
-        name: getattr(recording, name)[kept]
-        for name in ("wrench_stamp_ns", "wrench_log_ns", "wrenches")
-    }
-    found = find_visits(dataclasses.replace(recording, **kept), SETTINGS)
-    outcomes = [visit.outcome for visit in found.visits]
-    assert isinstance(outcomes[1], PoseRejection)
-    assert "stamps of wrench_raw jumped by +0.160 s" in outcomes[1].reason
-    assert isinstance(outcomes[0], PoseRecord)
-    assert isinstance(outcomes[2], PoseRecord)
-    assert len(found.warnings) == 1
 
 
 def test_late_wrenches_are_waited_for():

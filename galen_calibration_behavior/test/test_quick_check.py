@@ -5,20 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from check_pointer_file import calibrated
 from galen_calibration_behavior.common.check_decision import CheckLimits, differences, quick_check
 from galen_calibration_behavior.quick_check.procedure import plan_check
 from galen_model.arm.galen import GALEN
 from galen_model.evidence.verdict import Cause, CheckAnswer
-from galen_model.files.calibration_file import CalibrationFile, zeroed_at
 from galen_model.load.cable import LearnedPull
-from galen_model.load.model import (
-    ADAPTER,
-    TOOLS,
-    Load,
-    LoadEstimate,
-    gravity_wrench,
-    nominal_reading,
-)
+from galen_model.load.model import ADAPTER, TOOLS, Load, gravity_wrench, nominal_reading
 from galen_model.poses.design import PoseDesign, PoseDesignError
 from galen_model.poses.plan import Surroundings, SweepTimes
 from galen_model.rest.segments import PoseRecord
@@ -71,15 +64,8 @@ def choose(here, reach_rad=0.5):
 POSES = choose((0.0, 0.0))
 
 
-def file_of(load, name="pointer", std=LOAD_STD, **changes):
-    estimate = LoadEstimate(load.mass_kg, np.asarray(load.com_m, float), np.diag(std**2))
-    adapter = LoadEstimate(ADAPTER.mass_kg, ADAPTER.com_m, np.diag(std**2))
-    values = {
-        "tool": name, "load": estimate, "adapter": adapter, "tip_m": np.array([0.15, 0.0, 0.05]),
-        "rmse": SIGMA, "poses_used": 56, "calibrated_at": "2026-01-01T00:00:00+00:00",
-        "arm": GALEN, "zeroing": zeroed_at(arm=GALEN),
-    } | changes  # fmt: skip
-    return CalibrationFile(**values)
+def file_of(load, name="pointer", std=LOAD_STD, **fields):
+    return calibrated(load, name, std, rmse=SIGMA, **fields)
 
 
 def records(load, random, *, offset=0.0, extra=None, sigma=SIGMA, poses=POSES, nothing=False):
@@ -158,10 +144,7 @@ def test_each_change_has_its_answer(case):
     [
         (CheckAnswer.GOOD, {Cause.FITS}),
         (CheckAnswer.RETARE, {Cause.OFFSET, Cause.ZERO_LOST}),
-        (
-            CheckAnswer.RECALIBRATE,
-            {Cause.LOAD, Cause.OTHER_TOOL, Cause.NO_TOOL, Cause.UNEXPLAINED},
-        ),
+        (CheckAnswer.RECALIBRATE, {Cause.LOAD, Cause.OTHER_TOOL, Cause.NO_TOOL, Cause.UNEXPLAINED}),
         (CheckAnswer.UNSURE, {Cause.CONTACT, Cause.NOISE}),
     ],
 )

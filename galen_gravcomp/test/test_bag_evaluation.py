@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Evaluations of recordings in which what is wrong was put in, and so is known."""
 
-import io
 import json
 import re
 
@@ -10,12 +9,11 @@ import pytest
 from galen_bags.formats.bag import open_bag
 from galen_bags.formats.writer import BagWriter
 from galen_gravcomp.evaluate.bag import EvaluationSettings, evaluate_bag
-from galen_gravcomp.evaluate.bag_report import print_overview, to_json
+from galen_gravcomp.evaluate.bag_report import to_json
 from galen_gravcomp.parameters import GravcompParameters
 from galen_model.arm.galen import SENSOR
 from galen_model.evidence.verdict import Cause
 from gravcomp_bags import Recording, tool_file
-from rich.console import Console
 
 
 @pytest.fixture(scope="module")
@@ -66,24 +64,20 @@ def test_a_heavier_tool_is_told_by_its_mass(tmp_path, tool):
     assert re.search(r"another load, by \+1[12]\.\d \+- 0\.\d g", result.verdict.text)
 
 
-def test_an_offset_is_told_with_its_value(tmp_path, tool):
+@pytest.mark.parametrize(
+    ("part", "value", "cause"),
+    [
+        ("offset", [0.1, -0.2, 0.3, 0.005, 0.0, -0.004], Cause.OFFSET),
+        ("drift", [0.0, 0.0, 60.0, 0.0, 0.0, 0.0], Cause.DRIFT),  # per hour, in half a minute
+    ],
+)
+def test_an_offset_and_a_drift_are_told_with_their_values(tmp_path, tool, part, value, cause):
     recording = Recording(tool)
-    offset = np.array([0.1, -0.2, 0.3, 0.005, 0.0, -0.004])
-    recording.wrench += offset
+    hours = (recording.time_s - recording.time_s.mean())[:, None] / 3600.0
+    recording.wrench += np.array(value) * (hours if part == "drift" else 1.0)
     result = evaluate(tmp_path, recording, tool)
-    assert result.verdict.cause is Cause.OFFSET
-    assert "tare" in result.verdict.text
-    pull = (result.parts.values["offset"] - offset) / result.parts.stds["offset"]
-    assert np.all(np.abs(pull) < 4.0)
-
-
-def test_a_drift_is_told_with_its_rate(tmp_path, tool):
-    recording = Recording(tool)
-    rate = np.array([0.0, 0.0, 60.0, 0.0, 0.0, 0.0])  # per hour; the recording lasts half a minute
-    recording.wrench += rate * (recording.time_s - recording.time_s.mean())[:, None] / 3600.0
-    result = evaluate(tmp_path, recording, tool)
-    assert result.verdict.cause is Cause.DRIFT
-    pull = (result.parts.values["drift"] - rate) / result.parts.stds["drift"]
+    assert result.verdict.cause is cause
+    pull = (result.parts.values[part] - value) / result.parts.stds[part]
     assert np.all(np.abs(pull) < 4.0)
 
 
@@ -130,11 +124,7 @@ def test_poses_that_tell_nothing_of_the_load_are_said_to(tmp_path, tool):
     result = evaluate(tmp_path, recording, tool)
     assert "load" not in result.parts.values
     assert result.verdict.cause is Cause.OFFSET
-    assert (
-        "or another load or drift, not distinguishable by these rest segments"
-        in result.verdict.text
-    )
-    assert "can't be told" not in result.parts.why_no_load
+    assert "or another load or drift, not distinguishable by these rest" in result.verdict.text
     assert "poses" in result.parts.why_no_load
 
 
@@ -163,11 +153,10 @@ def test_a_tool_that_was_put_on_in_the_middle_is_told(tmp_path, tool):
     bare = tool_file(mass_kg=1e-6)
     first, second = Recording(bare, poses=10, seed=1), Recording(tool, poses=12, seed=2)
     shift = first.stamp_ns[-1] - second.stamp_ns[0] + 4_000_000_000
-    first.angles = np.concatenate([first.angles, second.angles])
-    first.wrench = np.concatenate([first.wrench, second.wrench])
-    first.stamp_ns = np.concatenate([first.stamp_ns, second.stamp_ns + shift])
-    first.log_ns = np.concatenate([first.log_ns, second.log_ns + shift])
-    first.kept = np.concatenate([first.kept, second.kept])
+    second.stamp_ns += shift
+    second.log_ns += shift
+    for name in ("angles", "wrench", "stamp_ns", "log_ns", "kept"):
+        setattr(first, name, np.concatenate([getattr(first, name), getattr(second, name)]))
     result = evaluate(tmp_path, first, tool)
     assert result.verdict.cause is Cause.CHANGED
     assert result.change.first_after == 10
@@ -189,10 +178,8 @@ def test_a_sensor_that_jumps_is_not_called_another_load(tmp_path, tool):
     assert result.verdict.cause is Cause.CHANGED
     assert result.change.mass_kg is None
     np.testing.assert_allclose(result.change.offset_step[:3], [-0.4, 0.0, 0.0], atol=0.01)
-    time_s = float(
-        re.search(r"jumps by -0\.\d+ N in fx at ([\d.]+) s", result.verdict.text).group(1)
-    )
-    assert abs(time_s - 0.01 * half) < 1.0
+    told = re.search(r"jumps by -0\.\d+ N in fx at ([\d.]+) s", result.verdict.text)
+    assert abs(float(told.group(1)) - 0.01 * half) < 1.0
     assert "Before: the file fits" in result.verdict.text
     assert "After: the residual is 0.399 N in fx: a constant offset" in result.verdict.text
     json.dumps(to_json(result), allow_nan=False)
@@ -220,19 +207,8 @@ def test_units_that_look_wrong_leave_no_verdict(tmp_path, tool, what):
     assert f"look like {what} in " in result.verdict.text
 
 
-def at_rest(tool, seconds, rad_s=0.0):
-    """One pose, or a slow turn of roll from -1 rad on."""
-    recording = Recording(tool, poses=1, hold_s=seconds, rate_hz=50.0)
-    angles = np.zeros_like(recording.angles)
-    angles[:, 0] = -1.0 + rad_s * recording.time_s
-    recording.angles = np.round(angles / 5e-5) * 5e-5
-    noise = np.random.default_rng(1).normal(size=recording.wrench.shape) * SENSOR.noise_std
-    recording.wrench = tool.predict(angles) + noise
-    return recording
-
-
 def test_an_arm_at_rest_for_minutes_tells_the_drift(tmp_path, tool):
-    recording = at_rest(tool, 200.0)
+    recording = Recording(tool, poses=1, hold_s=200.0, rate_hz=50.0)
     recording.wrench[:, 2] += 5.0 * (recording.time_s / 3600.0)
     result = evaluate(tmp_path, recording, tool)
     assert len(result.phases) == 20
@@ -259,19 +235,6 @@ def test_a_slow_sensor_behind_a_fast_driver_is_said_to_be_one(tmp_path, tool):
     assert to_json(result)["findings"] == [
         "/wrench_raw: each reading comes about 5 times: new ones come at 40 Hz"
     ]
-
-
-def test_the_overview_s_drift_is_shown_only_where_it_is_more_than_noise(tmp_path, tool):
-    recording = Recording(tool, poses=20)
-    row = to_json(evaluate(tmp_path, recording, tool))
-    recording.wrench[:, 2] += 60.0 * recording.time_s / 3600.0
-    drifting = to_json(evaluate_bag(recording.write(tmp_path / "drifting"), tool))
-    console = Console(width=200, file=io.StringIO())
-    print_overview([row, drifting], console)
-    lines = [line for line in console.file.getvalue().splitlines() if line.startswith("│")]
-    fits, drifts = (line.split("│") for line in lines)
-    assert (fits[7].strip(), fits[8].strip()) == ("-", "fits")
-    assert (drifts[8].strip(), 55.0 < float(drifts[7]) < 65.0) == ("drift", True)
 
 
 def test_a_message_that_cannot_be_read_is_no_stamp_and_no_reading(tmp_path, tool):

@@ -69,12 +69,9 @@ def still_cells(roll, *, scatter=1.0, mean=0.0):
 
 
 def test_a_phase_is_the_stand_less_its_rims():
-    (start,), (end,) = (
-        getattr(find_still_phases(still_cells(np.zeros(20))), name)
-        for name in ("start_ns", "end_ns")
-    )
-    assert start == START + 2 * CELL_NS
-    assert end == START + 17 * CELL_NS + 90_000_000
+    phases = find_still_phases(still_cells(np.zeros(20)))
+    assert phases.start_ns.tolist() == [START + 2 * CELL_NS]
+    assert phases.end_ns.tolist() == [START + 17 * CELL_NS + 90_000_000]
 
 
 def test_another_pose_is_another_phase_though_no_cell_moves():

@@ -99,7 +99,7 @@ def test_a_frozen_reading_is_found_once_and_not_as_six_stuck_channels():
     ("shortest", "longest", "block"), [(5, 5, 7), (4, 6, 997), (20, 20, 997), (49, 51, 7)]
 )
 def test_a_slow_sensor_whose_readings_come_several_times_is_called_that(shortest, longest, block):
-    times = np.random.default_rng(3).integers(shortest, longest + 1, size=20_000 // longest)
+    times = np.random.default_rng(3).integers(shortest, longest + 1, size=10_000 // longest)
     values = np.repeat(readings(len(times)), times, axis=0)
     found = check(values, block)
     assert found.held == (shortest + longest) // 2

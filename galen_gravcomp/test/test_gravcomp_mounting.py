@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from calibration_files import tool_file
 from galen_bags.arrays.tables import read_table
-from galen_common.stream.samples import PairedWrench
 from galen_gravcomp.compensator import Compensator
 from galen_gravcomp.evaluate.command import main
 from galen_gravcomp.evaluate.table_scores import evaluate_table, table_prediction, tool_from_table
@@ -55,28 +54,19 @@ def test_the_fast_prediction_is_the_tools_own(tool):
     np.testing.assert_allclose(found, expected, atol=1e-13)
 
 
-def test_a_push_on_a_mismounted_sensor_comes_out_right_one_by_one_and_in_blocks():
-    rng = np.random.default_rng(1)
-    count, step = 60, 2_000_000
-    stamps = 10**9 + step * np.arange(count)
-    angles = np.cumsum(rng.normal(size=(count, 2)), axis=0) * 1e-3 + [0.4, -0.3]
+@pytest.mark.parametrize("as_arrays", [False, True])
+def test_a_push_on_a_mismounted_sensor_comes_out_right_one_by_one_and_in_blocks(as_arrays):
+    """With the monitor a block is pushed one by one."""
+    count = 60
+    stamps = 10**9 + 2_000_000 * np.arange(count)
+    walk = np.random.default_rng(1).normal(size=(count, 2))
+    angles = np.cumsum(walk, axis=0) * 1e-3 + [0.4, -0.3]
     raw = TOOL.predict(angles) + sensed(PUSH)
-    single = Compensator(arm=GALEN)
-    single.set_tool(TOOL)
-    out = []
-    for stamp, (roll, tilt), reading in zip(stamps.tolist(), angles, raw, strict=True):
-        single.push_joints(stamp, (float(roll), float(tilt)))
-        out += single.push_wrench(stamp, reading)
-    wrenches = np.array([one.wrench for one in out if isinstance(one, PairedWrench)])
-    np.testing.assert_allclose(wrenches, np.tile(PUSH, (count, 1)), atol=1e-12)
-    block = Compensator(GravcompParameters(calibration_monitor=False), arm=GALEN)
-    block.set_tool(TOOL)
-    result = block.push_block(
-        np.tile([False, True], count), topic(stamps, angles), topic(stamps, raw)
-    )
-    assert block.pushed_as_arrays > 0
-    np.testing.assert_allclose(result.wrench, wrenches[: len(result.wrench)], atol=1e-12)
-    assert len(result.wrench) == count
+    made = Compensator(GravcompParameters(calibration_monitor=not as_arrays), arm=GALEN)
+    made.set_tool(TOOL)
+    out = made.push_block(np.tile([False, True], count), topic(stamps, angles), topic(stamps, raw))
+    assert (made.pushed_as_arrays > 0) == as_arrays
+    np.testing.assert_allclose(out.wrench, np.tile(PUSH, (count, 1)), atol=1e-12)
 
 
 def write_table(path, turn_deg=2.0, rows=28):

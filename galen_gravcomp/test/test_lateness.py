@@ -3,12 +3,7 @@
 
 import numpy as np
 import pytest
-from galen_common.stream.monitor import NOTICE_HOLD_S, Severity
 from galen_common.stream.watches import LateWatch
-from galen_gravcomp.compensator import Compensator
-from galen_gravcomp.monitor import Monitor
-from galen_model.arm.galen import GALEN
-from untouched_arm import tool_file
 
 MS = 1_000_000
 START_NS = 1_700_000_000_000 * MS
@@ -79,49 +74,3 @@ def test_the_worst_is_the_difference_itself():
     over_s = took_s - np.minimum.accumulate(took_s)
     assert watch.count == np.count_nonzero(over_s > limit_s) > 50
     assert watch.worst_s == pytest.approx(over_s.max(), abs=1e-6)
-
-
-class Feed:
-    """A monitor that takes outputs, 10 ms apart."""
-
-    def __init__(self):
-        compensator = Compensator(arm=GALEN)
-        compensator.set_tool(tool_file())
-        self.monitor = Monitor(compensator)
-        self.t = 100.0
-
-    def step(self, late_s=0.0, wait_s=0.01):
-        self.t += wait_s
-        self.monitor.on_joints(self.t)
-        self.monitor.on_wrench(self.t)
-        self.monitor.on_output(self.t, self.t + 1e-4, START_NS + round((self.t - late_s) * 1e9))
-        self.monitor.tick(self.t)
-
-    @property
-    def state(self):
-        return self.monitor.state(self.t)
-
-
-@pytest.fixture
-def feed():
-    return Feed()
-
-
-def test_late_is_a_state_with_numbers_that_goes_by_itself(feed):
-    for _ in range(100):
-        feed.step()
-    assert feed.state.severity is Severity.OK
-    feed.t += 0.3
-    for left in range(30, 0, -1):
-        feed.step(late_s=0.01 * left - 0.004, wait_s=0.0)
-    assert (feed.state.severity, feed.state.name) == (Severity.WARN, "late")
-    assert feed.state.message == (
-        "compensating, but: of wrench_raw 25 so far came late, the worst by 0.3 s: they go out,"
-        " and their users have to look at their stamps"
-    )
-    values = feed.monitor.values(feed.t)
-    assert values["late"] == 25 and values["late_worst_s"] == pytest.approx(0.296, abs=1e-5)
-    for _ in range(round(NOTICE_HOLD_S / 0.01) + 10):
-        feed.step()
-    assert feed.state.severity is Severity.OK
-    assert feed.monitor.values(feed.t)["late"] == 25

@@ -12,10 +12,7 @@ import pytest
 from calibration_files import pointer
 from galen_gravcomp.ros import tool_services
 from galen_model.arm.galen import GALEN
-from galen_model.files.calibration_file import (
-    calibration_path,
-    write_calibration,
-)
+from galen_model.files.calibration_file import calibration_path, write_calibration
 from galen_ros.messages import LATCHED
 from galen_ros.node.testing import Harness
 from std_srvs.srv import SetBool, Trigger
@@ -107,7 +104,6 @@ def check_list_get_compare(person: Person, folder: Path) -> None:
     assert rows["retractor"].mass_std_kg == pytest.approx(1e-4)
     np.testing.assert_array_equal(rows["retractor"].rmse_force_n, [0.0, 1e-3, 2e-3])
     np.testing.assert_array_equal(rows["retractor"].rmse_torque_nm, [3e-3, 4e-3, 5e-3])
-    assert rows["retractor"].poses_used == 56 and rows["cut"].poses_used == 0
     assert np.isnan([*rows["cut"].rmse_force_n, *rows["cut"].rmse_torque_nm]).all()
     # An unreadable file can have a calibration before it, too.
     assert [row.has_previous for row in answer.tools] == [True, False, False, False]
@@ -126,44 +122,26 @@ def check_list_get_compare(person: Person, folder: Path) -> None:
         np.testing.assert_allclose(answer.tip_m, rotation @ RETRACTOR.tip_m + origin)
         np.testing.assert_array_equal(answer.joints, JOINTS)
     assert json.loads(live.content)["tool"] == "retractor"
-    active_tool = person.ask("get_tool", GetTool)
-    assert (active_tool.tool, active_tool.active_tool, active_tool.frame) == (
-        "pointer",
-        True,
-        "ft_sensor",
-    )
-    assert np.isnan(active_tool.joints).all()
-    np.testing.assert_array_equal(active_tool.com_m, POINTER.load.com_m)
+    active = person.ask("get_tool", GetTool)
+    assert (active.tool, active.active_tool, active.frame) == ("pointer", True, "ft_sensor")
+    assert np.isnan(active.joints).all()
+    np.testing.assert_array_equal(active.com_m, POINTER.load.com_m)
 
     other = person.ask("compare_tools", CompareTools, b="retractor")
     assert other.success and not other.same_load and "'active pointer'" in other.text
-    assert other.differences[0].text == "differs by 140 g (990 sigma)"
     assert other.worst_force_n == pytest.approx(0.14 * 9.80665)
     assert person.ask("compare_tools", CompareTools, a="pointer", b="drill").same_load
 
 
 def check_rejections(person: Person) -> None:
+    """Each code once; what is rejected is the store's table, test_tool_store's."""
     for service, kind, request, code, words in (
         ("get_tool", GetTool, {"tool": "../x"}, "INVALID_NAME", "letters"),
-        ("get_tool", GetTool, {"tool": "cut"}, "INVALID_FILE", "cut.json"),
-        ("get_tool", GetTool, {"tool": "none"}, "NOT_FOUND", "none.json"),
         ("get_tool", GetTool, {"frame": "tool0"}, "INVALID_FRAME", "tool0"),
-        ("compare_tools", CompareTools, {"a": "none"}, "NOT_FOUND", "none.json"),
-        ("rename_tool", RenameTool, {"tool": "drill", "new_name": "a/b"}, "INVALID_NAME", "a/b"),
+        ("compare_tools", CompareTools, {"a_previous": True}, "NOT_FOUND", "pointer.json.bak"),
         ("rename_tool", RenameTool, {"tool": "drill", "new_name": "cut"}, "EXISTS", "cut.json"),
         ("rename_tool", RenameTool, {"tool": "cut", "new_name": "x"}, "INVALID_FILE", "cut.json"),
         ("remove_tool", RemoveTool, {"tool": "pointer"}, "IN_FORCE", "another active tool"),
-        ("remove_tool", RemoveTool, {"tool": "none"}, "NOT_FOUND", "none.json"),
-        ("revert_tool", RevertTool, {"tool": "../x"}, "INVALID_NAME", "letters"),
-        ("revert_tool", RevertTool, {"tool": "none"}, "NOT_FOUND", "none.json"),
-        ("revert_tool", RevertTool, {"tool": "drill"}, "NOT_FOUND", "no calibration of 'drill'"),
-        (
-            "compare_tools",
-            CompareTools,
-            {"a_previous": True},
-            "NOT_FOUND",
-            "pointer.json.bak",
-        ),
     ):
         answer = person.ask(service, kind, **request)
         assert not answer.success
@@ -209,14 +187,7 @@ def check_changed_file(person: Person, folder: Path) -> None:
     )
     told = person.wait_told(lambda m: m.file_state == m.FILE_CHANGED, "the change")
     assert told.mass_kg == 0.06
-    person.harness.wait_for(
-        lambda: (
-            person.step(LEFT)
-            and any("has changed since" in report.message for report in person.listener.reports)
-        ),
-        5.0,
-        "the warning",
-    )
+    person.report(lambda s, _: "has changed since" in s.message, "it", lambda: person.step(LEFT))
     # Renamed, what is active stays what was loaded, and so does the warning.
     assert person.ask("rename_tool", RenameTool, tool="probe", new_name="p2").success
     told = person.wait_told(lambda m: m.tool == "p2", "the new name")
@@ -244,12 +215,6 @@ def check_revert_active(person: Person, folder: Path) -> None:
     np.testing.assert_array_equal(person.output(), before)
     compared = person.ask("compare_tools", CompareTools, a="probe", b="probe", b_previous=True)
     assert compared.differences[0].difference == pytest.approx(1e-3)
-    (folder / "probe.json.bak").rename(folder / "elsewhere")
-    (folder / "probe.json.bak").write_text("{")
-    assert person.ask("revert_tool", RevertTool, tool="probe").error_code == (
-        RevertTool.Response.INVALID_FILE
-    )
-    (folder / "elsewhere").replace(folder / "probe.json.bak")
     # Back again, it is what was loaded.
     assert person.ask("revert_tool", RevertTool, tool="probe").success
     person.wait_told(lambda m: m.file_state == m.FILE_AS_LOADED, "the file as it was")

@@ -93,9 +93,7 @@ def test_compare(tools: Command) -> None:
     found = tools.json("compare", "pointer", "retractor")
     assert found["differences"][0]["difference"] == pytest.approx(0.14)
     assert found["worst"]["force_n"] == pytest.approx(0.14 * 9.80665)
-    tip = next(row for row in found["differences"] if row["quantity"] == "tip_x")
-    assert tip["std_dev"] is None and tip["text"] == "the same"
-    assert tools.json("compare", "pointer", "pointer")["same_load"]
+    assert next(r for r in found["differences"] if r["quantity"] == "tip_x")["std_dev"] is None
 
 
 def test_the_calibration_before(tools: Command, capsys: pytest.CaptureFixture[str]) -> None:
@@ -105,13 +103,6 @@ def test_the_calibration_before(tools: Command, capsys: pytest.CaptureFixture[st
     assert found["differences"][0]["difference"] == pytest.approx(1e-3)
     assert "'pointer' is as calibrated 2026-01-01" in tools("revert", "pointer")
     assert tools.json("show", "pointer")["load"]["mass_kg"] == 0.06
-    assert tools.json("compare", "pointer", "--previous")["differences"][0]["a"] == 0.061
-    path = str(tools.folder / "pointer.json")
-    assert tools.json("revert", "pointer") == {
-        "path": path,
-        "calibrated_at": "2026-01-01T00:00:00+00:00",
-    }
-    assert tools.json("show", "pointer")["load"]["mass_kg"] == 0.061
     for words in (("compare", "pointer"), ("compare", "pointer", "retractor", "--previous")):
         with pytest.raises(SystemExit) as usage:
             main([*words, "--tools-dir", str(tools.folder)])
@@ -122,14 +113,10 @@ def test_what_is_rejected_is_one_line_and_changes_nothing(tools: Command) -> Non
     before = {path.name: path.read_bytes() for path in tools.folder.iterdir()}
     for words, said in (
         (("rename", "pointer", "retractor"), "never overwritten"),
-        (("rename", "pointer", "../x"), "letters, digits"),
-        (("rename", "cut", "x"), "not JSON"),
         (("remove", "none", "--yes"), "can't be read: No such file"),
         (("restore", "pointer"), "is there"),
         (("revert", "pointer"), "no calibration of 'pointer' before its present one"),
-        (("revert", "none"), "none.json: can't be read"),
         (("compare", "pointer", "--previous"), "no calibration of 'pointer' before"),
-        (("compare", "pointer", "none"), "none.json"),
         (("show", "cut"), "not JSON"),
     ):
         tools(*words, code=1)
@@ -208,20 +195,6 @@ def test_export_prints_what_a_driver_takes(tools: Command) -> None:
         assert said in tools.err
 
 
-def test_a_tool_of_another_arm_is_read_and_exported_with_that_arm(tools: Command) -> None:
-    arm = read_arm(SIX_AXIS.read_text())
-    write_calibration(
-        calibration_path(tools.folder, "grip"), pointer("grip", arm=arm, zeroing=None)
-    )
-    with_arm = ("--urdf", str(SIX_AXIS))
-    assert "can't be used" in tools("list", *with_arm)
-    assert "60.00" in tools("show", "grip", *with_arm)
-    found = tools.json("export", "grip", "--format", "franka", "--frame", "tool0", *with_arm)
-    np.testing.assert_allclose(found["com_m"], [0.020625, 0.00075, 0.049375], atol=1e-12)
-    tools("export", "pointer", "--format", "franka", *with_arm, code=1)
-    assert "this arm is 'six_axis'" in tools.err
-
-
 @pytest.mark.parametrize("zeroed", [True, False])
 def test_a_tool_of_another_arm_needs_its_description_for_what_the_file_lacks_alone(
     tools: Command, zeroed: bool
@@ -231,12 +204,13 @@ def test_a_tool_of_another_arm_needs_its_description_for_what_the_file_lacks_alo
     for name, mass_kg in (("grip", 0.06), ("drill", 0.07)):
         made = pointer(name, mass_kg=mass_kg, arm=arm, zeroing=zeroing)
         write_calibration(calibration_path(tools.folder, name), made)
+    with_arm = ("--urdf", str(SIX_AXIS), "--sensor-frame", "tool0")
     rows = {row["tool"]: row["problem"] for row in tools.json("list")["tools"]}
     assert rows["grip"] is None and rows["pointer"] is None
     assert "tool0" in tools("list") and "centre in tool0" in tools("show", "grip")
+    assert "can't be used" in tools("list", *with_arm)
     found = tools.json("export", "grip", "--format", "ur")
     assert (found["frame"], found["mass_kg"]) == ("tool0", pytest.approx(0.16))
-    with_arm = ("--urdf", str(SIX_AXIS), "--sensor-frame", "tool0")
     worst = [tools.json("compare", "grip", "drill", *words)["worst"] for words in ((), with_arm)]
     for axes in ("force_n", "torque_nm"):
         assert worst[0][axes] == pytest.approx(worst[1][axes], rel=0.01)
@@ -244,6 +218,7 @@ def test_a_tool_of_another_arm_needs_its_description_for_what_the_file_lacks_alo
         (("compare", "grip", "pointer"), "of two arms"),
         (("export", "grip", "--format", "control_toolbox"), "--urdf FILE and --sensor-frame tool0"),
         (("export", "grip", "--format", "ur", "--frame", "flange"), "frame 'flange' is in the"),
+        (("export", "pointer", "--format", "franka", *with_arm), "this arm is 'six_axis'"),
     ):
         tools(*words, code=1)
         assert said in tools.err

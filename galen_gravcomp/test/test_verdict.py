@@ -48,10 +48,8 @@ def alternating(count, size, axis):
 
 
 def test_stronger_gravity_in_the_file_makes_a_smaller_mass_of_the_same_weight():
-    stronger = tool_file()
-    object.__setattr__(stronger, "gravity_m_s2", np.array([0.0, 0.0, -1.2 * 9.80665]))
-    heavier = tool_file(mass_kg=0.3)
-    object.__setattr__(heavier, "gravity_m_s2", stronger.gravity_m_s2)
+    gravity = np.array([0.0, 0.0, -1.2 * 9.80665])
+    stronger, heavier = (tool_file(mass, gravity_m_s2=gravity) for mass in (0.2, 0.3))
     parts = decompose(phases(heavier, stronger), stronger)
     assert parts.values["load"][0] == pytest.approx(0.1, abs=1e-3)
 
