@@ -94,13 +94,6 @@ def test_bad_options_are_a_usage_error(arguments, capsys):
     assert arguments[1] in capsys.readouterr().err
 
 
-def test_help_names_the_exit_code_of_each_signal(capsys):
-    with pytest.raises(SystemExit):
-        main(["--help"])
-    printed = capsys.readouterr().out
-    assert all(f"  {128 + one}  " in printed for one in (signal.SIGHUP, signal.SIGTERM))
-
-
 def test_an_output_that_can_not_be_written_is_named(tmp_path, capsys):
     (tmp_path / "file").write_text("")
     assert main(["--output", str(tmp_path / "file")]) == 1

@@ -45,13 +45,13 @@ class Toucher:
             self.plant.start_hand()
 
 
-def calibrate_and_record(folder, grid, *, rate_hz=100.0, seed=1, start=None, touch=None):
+def calibrate_and_record(folder, poses, *, rate_hz, start, touch):
     """Return the live calibration's measurements and its recording."""
     push = HandPush(start_s=0.05, duration_s=0.5, force_n=(0.0, 0.4, 0.0), ramp_s=0.05)
     config = PlantConfig(rate_hz=rate_hz, start_ns=START_NS, hand=(push,), arm=GALEN)
     if start is not None:
         config = dataclasses.replace(config, start_joints=start)
-    plant = Plant(config, np.random.default_rng(seed))
+    plant = Plant(config, np.random.default_rng(1))
     listeners = []
     if touch is not None:
         touch.plant = plant
@@ -59,15 +59,13 @@ def calibrate_and_record(folder, grid, *, rate_hz=100.0, seed=1, start=None, tou
     with BagWriter(folder / "bag") as bag:
         cell = OfflineCell(plant, [*listeners, CellBag(bag)])
         cell.run(2.0)
-        poses = dataclasses.replace(PARAMETERS, **grid).grid_poses(grid["itersT"], grid["itersR"])
         live = cell.calibrate(PARAMETERS, CalibrationRequest("retractor", False, True, poses))
     return live, read_arm(folder / "bag", arm=GALEN)
 
 
 def offline(recording):
-    settings = PARAMETERS
-    sweeps = SweepSorter(settings, (PARAMETERS.Rhome, PARAMETERS.Thome))
-    return sweeps.two_sweeps(find_visits(recording, settings)).measurements
+    sweeps = SweepSorter(PARAMETERS, (PARAMETERS.Rhome, PARAMETERS.Thome))
+    return sweeps.two_sweeps(find_visits(recording, PARAMETERS)).measurements
 
 
 def same(live, again):
@@ -80,37 +78,35 @@ def same(live, again):
         assert sorted(map(tuple, rows[0])) == sorted(map(tuple, rows[1]))
 
 
-SMALL = {"itersT": 3, "itersR": 3}
-
-
 @pytest.mark.parametrize(
-    ("grid", "rate_hz", "start"),
+    ("grid", "rate_hz", "start", "touched"),
     [
-        (SMALL, 125.0, (0.02, 0.01, 0.42, 0.3, -0.2)),  # nothing of that is left in the sweeps
-        (SMALL | {"tstart": -0.8, "tend": 0.8}, 100.0, None),  # home is among its poses
+        # Nothing of where it began is left in the sweeps; a pose is measured again at their end.
+        ({"itersT": 2, "itersR": 3}, 125.0, (0.02, 0.01, 0.42, 0.3, -0.2), 3),
+        # Home is among the poses.
+        ({"itersT": 3, "itersR": 3, "tstart": -0.8, "tend": 0.8}, 100.0, None, None),
     ],
+    ids=["elsewhere and touched", "over home"],
 )
-def test_a_recording_gives_the_live_averages_to_the_last_bit(tmp_path, grid, rate_hz, start):
-    """Where the arm begins elsewhere too; the driver's sensor begins zeroed."""
-    live, recording = calibrate_and_record(tmp_path, grid, rate_hz=rate_hz, start=start)
+def test_a_recording_gives_the_live_averages_to_the_last_bit(
+    tmp_path, grid, rate_hz, start, touched
+):
+    """The driver's sensor begins zeroed."""
+    poses = dataclasses.replace(PARAMETERS, **grid).grid_poses(grid["itersT"], grid["itersR"])
+    touch = None if touched is None else Toucher(*poses[touched], tool="retractor")
+    live, recording = calibrate_and_record(
+        tmp_path, poses, rate_hz=rate_hz, start=start, touch=touch
+    )
     again = offline(recording)
     same(live, again)
+    assert live.rejected == again.rejected == []
     assert again.bare_indices == live.bare_indices
-    assert again.tool_indices == live.tool_indices
+    if touched is None:
+        assert again.tool_indices == live.tool_indices
+    else:
+        assert again.tool_indices[-1] == touched
+        assert sorted(again.tool_indices) == live.tool_indices
     files = [identify_two_sweeps(one.bare, one.tool, one.zero_angles) for one in (live, again)]
     # The fit's last bits hang on where its arrays lie in memory.
     assert files[0].load.mass_kg == pytest.approx(files[1].load.mass_kg, rel=1e-12)
     np.testing.assert_allclose(files[0].load.covariance, files[1].load.covariance, rtol=1e-9)
-
-
-def test_a_pose_that_was_touched_and_tried_again_live_is_so_offline(tmp_path):
-    poses = dataclasses.replace(PARAMETERS, **SMALL).grid_poses(3, 3)
-    touch = Toucher(*poses[6], tool="retractor")
-    live, recording = calibrate_and_record(tmp_path, SMALL, touch=touch)
-    again = offline(recording)
-    same(live, again)
-    assert live.rejected == again.rejected == []
-    assert again.tool_indices[-1] == 6  # measured at the end of the sweep
-    assert sorted(again.tool_indices) == live.tool_indices
-    files = [identify_two_sweeps(one.bare, one.tool, one.zero_angles) for one in (live, again)]
-    assert files[1].load.mass_kg == pytest.approx(files[0].load.mass_kg, rel=1e-9)

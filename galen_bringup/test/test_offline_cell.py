@@ -18,7 +18,7 @@ from galen_sim_driver.plant.config import PlantConfig
 from offline_cell import CellBag, OfflineCalibrationError, OfflineCell
 
 PARAMETERS = CalibrationParameters(settle_s=0.1, average_s=0.3)
-POSES = PARAMETERS.grid_poses(3, 3)
+POSES = PARAMETERS.grid_poses(2, 3)
 
 
 def cell(*listeners, **config):

@@ -20,30 +20,51 @@ ENDLESS = replace(
 )
 
 
-@pytest.mark.parametrize(("joint", "jumps"), [(0, True), (1, False), (2, True)])
-@pytest.mark.parametrize("as_arrays", [False, True])
-def test_only_a_turning_joint_jumps(joint, jumps, as_arrays):
-    joints = np.tile([0.1, 0.2, 0.3], (4, 1))
-    joints[2:, joint] += 1.0
-    stamp_ns = MS * np.array([10, 12, 14, 16])
-    pairing = WrenchPairing(StreamParameters(), arm=ARM)
-    taken = 0
+def pushed(pairing, as_arrays, joint_ns, joints, wrench_ns):
+    """Push by stamps; return the joints of what is paired, and how many arrivals made one run."""
+    order = sorted(
+        [(ns, False, k) for k, ns in enumerate(joint_ns.tolist())]
+        + [(ns, True, k) for k, ns in enumerate(wrench_ns.tolist())]
+    )
+    taken, found = 0, []
     if as_arrays:
-        fine = np.ones(4, dtype=bool)
-        is_wrench = np.tile([False, True], 4)
+        is_wrench = np.array([each[1] for each in order])
+        fine, wrenches = np.ones(len(joints), dtype=bool), np.ones((len(wrench_ns), 6))
         run = pairing.push_run(
-            Arrivals(is_wrench, stamp_ns, joints, fine, stamp_ns, np.ones((4, 6)), fine)
+            Arrivals(is_wrench, joint_ns, joints, fine, wrench_ns, wrenches, fine)
         )
-        taken = run.taken // 2
-        assert np.array_equal(run.joints, joints[:taken])
-        assert taken == (2 if jumps else 4)
-    results = []
-    for k in range(taken, 4):
-        results += pairing.push_joints(int(stamp_ns[k]), tuple(joints[k].tolist()))
-        results += pairing.push_wrench(int(stamp_ns[k]), [1.0] * 6)
+        taken, found = run.taken, list(run.joints)
+    for stamp_ns, is_wrench, k in order[taken:]:
+        if is_wrench:
+            results = pairing.push_wrench(stamp_ns, [1.0] * 6)
+        else:
+            results = pairing.push_joints(stamp_ns, tuple(joints[k].tolist()))
+        found += [one.joints for one in results if isinstance(one, PairedWrench)]
+    return np.array(found), taken
+
+
+@pytest.mark.parametrize("as_arrays", [False, True])
+@pytest.mark.parametrize(
+    ("arm", "joint", "before", "after", "jumps"),
+    [
+        (ARM, 0, 0.1, 1.1, True),
+        (ARM, 1, 0.1, 1.1, False),
+        (ARM, 2, 0.1, 1.1, True),
+        (ARM, 0, 3.1, -3.1, True),
+        (ENDLESS, 0, 3.1, -3.1, False),
+    ],
+    ids=["first", "sliding", "last", "wrap with limits", "wrap of an endless one"],
+)
+def test_only_a_turning_joint_jumps_and_not_by_a_wrap(arm, joint, before, after, jumps, as_arrays):
+    joints = np.tile([0.1, 0.2, 0.3], (4, 1))
+    joints[:2, joint], joints[2:, joint] = before, after
+    stamp_ns = MS * np.array([10, 12, 14, 16])
+    pairing = WrenchPairing(StreamParameters(), arm=arm)
+    found, taken = pushed(pairing, as_arrays, stamp_ns, joints, stamp_ns)
     assert pairing.notices[Notice.JOINT_JUMP] == jumps
-    paired = [one.joints for one in results if isinstance(one, PairedWrench)]
-    assert len(paired) + taken == (3 if jumps else 4)
+    assert len(found) == (3 if jumps else 4) and np.array_equal(found[:2], joints[:2])
+    if as_arrays:
+        assert taken == (4 if jumps else 8)
     assert pairing.newest_angles == (joints[3, 0], joints[3, 2])
 
 
@@ -57,43 +78,13 @@ def test_only_an_endless_joint_is_interpolated_through_half_a_turn(arm, turning_
     if turning_only:
         joints = joints[:, [0, 2]]
     pairing = WrenchPairing(StreamParameters(), arm=arm)
-    if as_arrays:
-        fine, is_wrench = np.ones(2, dtype=bool), np.array([False, True, True, False])
-        wrenches = np.ones((2, 6))
-        run = pairing.push_run(
-            Arrivals(is_wrench, joint_ns, joints, fine, wrench_ns, wrenches, fine)
-        )
-        found = run.joints
-    else:
-        results = pairing.push_joints(int(joint_ns[0]), tuple(joints[0].tolist()))
-        for stamp_ns in wrench_ns.tolist():
-            results += pairing.push_wrench(stamp_ns, [1.0] * 6)
-        results += pairing.push_joints(int(joint_ns[1]), tuple(joints[1].tolist()))
-        found = np.array([one.joints for one in results])
+    found, taken = pushed(pairing, as_arrays, joint_ns, joints, wrench_ns)
+    assert taken == (4 if as_arrays else 0)
     share = 22 / 33
     end = -3.1 + (2.0 * np.pi if arm is ENDLESS else 0.0)
     assert found[0].tolist() == joints[0].tolist()
     np.testing.assert_allclose(found[1, 0], 3.1 + share * (end - 3.1), atol=1e-12)
     np.testing.assert_allclose(found[1, -1], 0.3 + share * 0.2, atol=1e-12)
-
-
-@pytest.mark.parametrize(("arm", "jumps"), [(ARM, True), (ENDLESS, False)])
-@pytest.mark.parametrize("as_arrays", [False, True])
-def test_the_wrap_of_an_endless_joint_is_no_jump(arm, jumps, as_arrays):
-    stamp_ns = MS * np.array([10, 12])
-    joints = np.array([[3.1, 0.2, 0.3], [-3.1, 0.2, 0.3]])
-    pairing = WrenchPairing(StreamParameters(), arm=arm)
-    if as_arrays:
-        fine = np.ones(2, dtype=bool)
-        is_wrench, none = np.zeros(2, dtype=bool), np.zeros(0, dtype=np.int64)
-        run = pairing.push_run(
-            Arrivals(is_wrench, stamp_ns, joints, fine, none, np.zeros((0, 6)), none.astype(bool))
-        )
-        assert run.taken == (1 if jumps else 2)
-    else:
-        for stamp, position in zip(stamp_ns.tolist(), joints.tolist(), strict=True):
-            pairing.push_joints(stamp, tuple(position))
-        assert pairing.notices[Notice.JOINT_JUMP] == jumps
 
 
 def test_a_range_of_five_axes_is_no_parameter_of_the_stream():

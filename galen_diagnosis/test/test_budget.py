@@ -30,7 +30,8 @@ LIMITS = {"axis_gain": 0.02, "joint_zero_offset": 0.005, "crosstalk": 0.004}
 
 def made(folder, name, *effects, seed=4):
     path = folder / name
-    make_recording(path, effects, seed, "retractor", bags=("sweep",), arm=GALEN)
+    poses = sweep_poses(arm=GALEN)[::2]
+    make_recording(path, effects, seed, "retractor", bags=("sweep",), poses=poses, arm=GALEN)
     content = {"schema_version": 1, "name": "an arm", "source": "made up", "limits": LIMITS}
     (path / "specification.json").write_text(json.dumps(content))
     return path
@@ -38,7 +39,7 @@ def made(folder, name, *effects, seed=4):
 
 @pytest.fixture(scope="module")
 def ordinary(tmp_path_factory):
-    """A sweep of an arm whose gains and tilt zero are off, within their limits."""
+    """Half a sweep of an arm whose gains and tilt zero are off, within their limits."""
     return made(tmp_path_factory.mktemp("budget"), "ordinary", *ARM)
 
 
@@ -90,10 +91,8 @@ def test_healthy_deviations_become_effects_that_change_what_their_columns_do(for
     assert np.linalg.norm(change - expected) < 0.02 * np.linalg.norm(expected)
 
 
-def test_no_gap_has_no_budget(forms, tmp_path):
-    poses = sweep_poses(arm=GALEN)[::7]
-    make_recording(tmp_path / "healthy", seed=4, bags=("sweep",), poses=poses, arm=GALEN)
-    observation = Observation(read_recording(tmp_path / "healthy"))
+def test_no_gap_has_no_budget(healthy_sweep):
+    observation = Observation(healthy_sweep)
     observation.nominal = np.random.default_rng(1).standard_normal(len(observation.rows))
     assert budget_of(Forms(observation), observation) == ()
 
@@ -106,17 +105,11 @@ def test_an_item_is_within_beyond_or_undecided():
     assert replace(limited, probability_beyond=0.5).standing == "undecided"
     assert replace(limited, probability_beyond=None).standing == "undecided"
     assert BudgetItem("bias_step", share).standing is None
+    two = replace(limited, parameters={"gain": [share] * 2}, limits={"gain": [0.5, 0.6]}).to_json()
+    assert [one["limit"] for one in two["parameters"]["gain"]] == [0.5, 0.6]
     assert BudgetItem(RESIDUAL, share).to_json() == {
         "effect": RESIDUAL, "share": {"value": 0.5, "ci95": [0.4, 0.6]},
     }  # fmt: skip
-
-
-def test_each_number_of_an_item_has_its_limit():
-    numbers = {"gain": [Interval(0.1, 0.0, 0.2), Interval(0.3, 0.2, 0.4)]}
-    item = BudgetItem("axis_gain", Interval(1.0, None, None), numbers, {"gain": [0.5, 0.6]}, 0.0)
-    content = item.to_json()
-    assert [one["limit"] for one in content["parameters"]["gain"]] == [0.5, 0.6]
-    assert content["specification"] == "within" and content["joint"] is None
 
 
 def test_a_recording_of_another_arm_is_no_reference():

@@ -25,7 +25,6 @@ from galen_diagnosis.observation.specification import (
 )
 from galen_diagnosis.simulated_recording import make_recording, sweep_poses
 from galen_model.arm.galen import GALEN
-from galen_model.errors import GalenError
 from galen_sim_driver.effects.effect import Instants
 from galen_sim_driver.effects.hysteresis import DeflectionCreep
 from galen_sim_driver.effects.joints import JointEccentricity
@@ -40,8 +39,8 @@ def recorded(folder, effects, bag="sweep"):
 
 
 @pytest.fixture(scope="module")
-def healthy(tmp_path_factory):
-    return Observation(recorded(tmp_path_factory.mktemp("healthy") / "made", ()))
+def healthy(healthy_sweep):
+    return Observation(healthy_sweep)
 
 
 def with_lag(observation, effect):
@@ -112,18 +111,6 @@ def specified(folder, limits):
     path = folder / "specification.json"
     path.write_text(json.dumps({"schema_version": 1, "limits": limits}))
     return specification_of([path, CALIBRATED], limit_parts(GALEN))
-
-
-def test_each_may_have_a_limit_by_joint_or_axis(tmp_path):
-    found = specified(tmp_path, LIMITS)
-    assert found.std("joint_eccentricity", ("tilt",) * 2) == (1e-4,) * 2
-    assert found.limit("joint_eccentricity", "delta_x") == 4e-4
-    assert found.limit("sensor_nonlinearity", "tx") == 8e-4
-    assert found.limit("sensor_nonlinearity", "fz") == 6e-4
-    assert found.std("deflection_creep", ("",)) == (0.005,)
-    for effect, part in (("sensor_nonlinearity", "fq"), ("joint_eccentricity", "elbow")):
-        with pytest.raises(GalenError, match=f"limits.{effect}.{part} is not known"):
-            specified(tmp_path, {effect: {part: 0.1}})
 
 
 def test_within_its_limit_each_is_a_healthy_arms_tolerance(healthy, tmp_path):

@@ -176,20 +176,10 @@ def test_a_joint_with_play_and_spring_and_a_rigid_late_one(tmp_path, capsys):
     assert answer["causes"][0]["parameters"]["delay_s"]["value"] == pytest.approx(0.004, abs=2e-4)
 
 
-def test_commands_say_in_a_line_what_is_wrong(tmp_path, capsys):
-    files = joint_runs(tmp_path)
-    table = tmp_path / "table.csv"
-    table.write_text('# a comment\n"fx";fy;fz;tx;ty;tz;gx;gy;gz\n')
-    for path, option in (("", "--next"), (str(table), "--wrench-frame"), (files[0], "--opposite")):
-        with pytest.raises(SystemExit) as end:
-            diagnose([*([path] if path else []), "--help"])
-        assert end.value.code == 0
-        told = capsys.readouterr().out
-        assert "exit codes" in told and option in told
+def test_a_file_that_is_not_there_is_told_in_a_line(tmp_path, capsys):
     assert diagnose([str(tmp_path / "none.csv")]) == 1
     error = capsys.readouterr().err
-    assert error.count("\n") == 1
-    assert "none.csv" in error
+    assert error.count("\n") == 1 and "none.csv" in error
 
 
 def test_a_table_of_too_few_poses_is_rejected(tmp_path, capsys):

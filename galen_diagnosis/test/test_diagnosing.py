@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The whole diagnosis on the simulated arm; test_baselines.py has another's arm."""
+"""Rows and columns of a healthy arm; whole diagnoses are in test_diagnosis_any_arm.py and
+test_disclosed_recordings.py."""
 
 from dataclasses import replace
 
@@ -7,24 +8,16 @@ import numpy as np
 import pytest
 from galen_diagnosis.effects.forms import candidates
 from galen_diagnosis.effects.sensor import crosstalk_candidates
-from galen_diagnosis.inference.diagnosing import _cannot_tell, diagnose_recording
+from galen_diagnosis.inference.diagnosing import _cannot_tell
 from galen_diagnosis.inference.gap import closed_fraction
 from galen_diagnosis.observation.observation import Observation, Unknowns
-from galen_diagnosis.observation.recording import read_recording
 from galen_diagnosis.observation.rows import CHANNELS, FOLDS
-from galen_diagnosis.simulated_recording import make_recording, sweep_poses
-from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
-from galen_sim_driver.effects.joints import JointZeroOffset
-
-SWEEP_ONLY = ("sweep",)
 
 
 @pytest.fixture(scope="module")
-def healthy(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("healthy") / "made"
-    make_recording(folder, seed=3, bags=SWEEP_ONLY, arm=GALEN)
-    return Observation(read_recording(folder))
+def healthy(healthy_sweep):
+    return Observation(healthy_sweep)
 
 
 def test_a_healthy_arms_rows_are_white_with_unit_variance(healthy):
@@ -89,27 +82,6 @@ def test_a_gap_that_is_none_has_no_closed_fraction(healthy):
     assert wide is not None
     assert wide.value == pytest.approx(1.0, abs=0.05)
     assert wide.low <= wide.value <= wide.high
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(400)
-def test_the_simulated_arms_tilt_zero_is_found_and_its_gap_closes(tmp_path):
-    effects = [JointZeroOffset("tilt", offset_rad=0.012)]
-    poses, bags = sweep_poses(arm=GALEN)[::2], ("sweep", "push")
-    make_recording(tmp_path / "made", effects, seed=8, poses=poses, bags=bags, arm=GALEN)
-    shares = []
-    answer = diagnose_recording(
-        read_recording(tmp_path / "made"), progress=lambda what, share: shares.append(share)
-    ).answer
-    assert answer.verdict == "identified"
-    assert answer.ranking[0][0] == "joint_zero_offset:tilt"
-    (cause,) = answer.causes
-    assert (cause.effect, cause.joint) == ("joint_zero_offset", "tilt")
-    found = cause.parameters["offset_rad"]
-    assert found.low < 0.012 < found.high
-    assert found.value == pytest.approx(0.012, rel=0.05)
-    assert answer.gap["closed_fraction"]["value"] > 0.95
-    assert shares == sorted(shares)
 
 
 def test_without_pushes_the_answer_says_what_it_cant_tell(healthy):

@@ -54,15 +54,7 @@ def made(folder, *effects, poses=FEW, arm=ARM, **options):
 
 @pytest.fixture(scope="module")
 def healthy(tmp_path_factory):
-    return made(tmp_path_factory.mktemp("six") / "healthy")
-
-
-def test_the_recording_s_arm_is_that_of_the_description_in_it(healthy):
-    recording = read_recording(healthy)
-    assert recording.arm.joint_names == ARM.joint_names
-    assert recording.tool.arm.difference(ARM) == ""
-    assert recording.missing == ("motion", "push")
-    assert recording.bags["sweep"].joints.shape[1] == 6
+    return made(tmp_path_factory.mktemp("six") / "healthy", poses=POSES[:8])
 
 
 def with_description(source, target, text):
@@ -86,7 +78,8 @@ def test_the_description_may_be_in_a_bag(healthy, tmp_path):
         read_recording(folder)
     (folder / "arm.urdf").unlink()
     told, other = read_recording(folder), read_recording(healthy)
-    assert told.arm.difference(ARM) == ""
+    assert told.arm.difference(ARM) == "" and told.tool.arm.difference(ARM) == ""
+    assert told.missing == ("motion", "push")
     np.testing.assert_array_equal(told.bags["sweep"].wrenches, other.bags["sweep"].wrenches)
     shutil.rmtree(folder / "sweep")
     shutil.copytree(healthy / "sweep", folder / "sweep")
@@ -105,9 +98,7 @@ def test_effects_are_sought_at_every_joint(healthy):
     names = sought(ARM)
     for joint in ARM.joint_names:
         assert {f"joint_zero_offset:{joint}", f"joint_gain:{joint}"} <= set(names)
-    assert set(sought(GALEN)) & {"joint_zero_offset:roll", "joint_gain:roll"} == {
-        "joint_zero_offset:roll"
-    }
+    assert "joint_zero_offset:roll" in sought(GALEN) and "joint_gain:roll" not in sought(GALEN)
     forms = [one.label for one in candidates(Observation(read_recording(healthy)))
              if one.effect == "joint_axis_misalignment:wrist_2"]  # fmt: skip
     assert forms == ["x", "y"]  # about its own axis, z, is no turn
@@ -116,27 +107,23 @@ def test_effects_are_sought_at_every_joint(healthy):
 @pytest.mark.slow
 def test_the_zero_of_a_wrist_joint_is_found_from_still_poses_alone(tmp_path, capsys):
     folder = made(tmp_path / "made", zero_of("wrist_2"))
-    assert (
-        diagnose(
-            [str(folder), *TIGHT, "--output", str(tmp_path / "out"), "--next", str(tmp_path / "n")]
-        )
-        == 0
-    )
-    found = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
+    out = tmp_path / "out"
+    assert diagnose([str(folder), *TIGHT, "--output", str(out), "--next", str(tmp_path / "n")]) == 0
+    found = json.loads((out / "diagnosis.json").read_text())
     assert found["verdict"] == "identified"
     (cause,) = found["causes"]
     assert (cause["effect"], cause["joint"]) == ("joint_zero_offset", "wrist_2")
     low, high = cause["parameters"]["offset_rad"]["ci95"]
     assert low < 0.01 < high and high - low < 0.0015  # beside an eccentricity within its limit
     assert "shoulder_pan" in found["where"]["poses"][0]["joints"]
-    assert (tmp_path / "out" / "pictures" / "gap.png").exists()
+    assert (out / "pictures" / "gap.png").exists()
     assert "wrist_2" in capsys.readouterr().out
-    driver = (tmp_path / "out" / "found_effect.yaml").read_text()
+    driver = (out / "found_effect.yaml").read_text()
     assert "-p urdf_file:=ARM.urdf" in driver and "joint_zero_offset_wrist_2_rad: 0.0" in driver
     # With what the output corrects nothing is left.
     assert [line.partition(":")[0] for line in found["corrections"]] == ["corrected.urdf"]
-    shutil.copy(tmp_path / "out" / "corrected.urdf", folder / "arm.urdf")
-    shutil.copy(tmp_path / "out" / "corrected_pointer.json", folder / "tool.json")
+    shutil.copy(out / "corrected.urdf", folder / "arm.urdf")
+    shutil.copy(out / "corrected_pointer.json", folder / "tool.json")
     assert diagnose([str(folder), *TIGHT, "--output", str(tmp_path / "again"), "--no-report"]) == 0
     again = json.loads((tmp_path / "again" / "diagnosis.json").read_text())
     assert again["verdict"] == "none"
@@ -234,8 +221,9 @@ def test_what_no_file_holds_is_told(healthy):
 def test_zeros_of_parallel_joints_are_one_ambiguous_set_that_a_tracker_separates(tmp_path):
     """Gravity feels the sum of the angles about parallel axes, not which of them it is."""
     recording = read_recording(made(tmp_path / "made", zero_of("elbow")), specification=["galen"])
-    answer = diagnose_recording(recording).answer
-    assert answer.verdict == "ambiguous"
+    shares = []
+    answer = diagnose_recording(recording, progress=lambda _, share: shares.append(share)).answer
+    assert answer.verdict == "ambiguous" and shares == sorted(shares)
     parallel = {f"joint_zero_offset:{joint}" for joint in ("shoulder_lift", "elbow", "wrist_1")}
     (cause,) = answer.causes
     assert cause.probability > 0.95

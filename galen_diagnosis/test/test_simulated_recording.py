@@ -70,7 +70,7 @@ def test_the_same_seed_makes_the_same_recording_and_another_one_another(tmp_path
     readings = []
     for number, seed in enumerate((1, 1, 2)):
         path = tmp_path / str(number)
-        make_recording(path, seed=seed, poses=FEW[:2], bags=("sweep",), arm=GALEN)
+        make_recording(path, seed=seed, poses=FEW[:1], bags=("sweep",), arm=GALEN)
         readings.append(read_recording(path).bags["sweep"].wrenches)
     assert (readings[0] == readings[1]).all()
     assert (readings[0] != readings[2]).any()

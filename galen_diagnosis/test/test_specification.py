@@ -2,20 +2,15 @@
 """Limits of a specification: read with checks, and what lies within is no cause."""
 
 import json
-from types import SimpleNamespace
 
-import numpy as np
 import pytest
 from galen_diagnosis.diagnose import main
-from galen_diagnosis.effects.forms import _zero_rad, healthy_background
-from galen_diagnosis.observation.observation import Observation
-from galen_diagnosis.observation.recording import read_recording
 from galen_diagnosis.observation.specification import presets, specification_of
-from galen_diagnosis.simulated_recording import make_recording, sweep_poses
+from galen_diagnosis.simulated_recording import make_recording
 from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
 from galen_sim_driver.effects.joints import JointZeroOffset
-from galen_sim_driver.effects.registry import LIMITED, limit_parts
+from galen_sim_driver.effects.registry import limit_parts
 from galen_sim_driver.effects.sensor import AxisGain
 
 LIMITS = {
@@ -111,32 +106,6 @@ def recording(tmp_path_factory):
     folder = tmp_path_factory.mktemp("specification") / "made"
     make_recording(folder, ORDINARY, seed=4, bags=("sweep",), arm=GALEN)
     return folder
-
-
-def test_half_a_limit_is_the_deviation_beside_every_cause(tmp_path):
-    recording, poses = tmp_path / "made", sweep_poses(arm=GALEN)[::7]
-    make_recording(recording, ORDINARY, seed=4, bags=("sweep",), poses=poses, arm=GALEN)
-    plain = healthy_background(Observation(read_recording(recording))).prior_std
-    limited = read_recording(recording, specification=[write(tmp_path, LIMITS), "galen"])
-    std = healthy_background(Observation(limited)).prior_std
-    # Neither a crosstalk nor a lag of forces or torques is a carefully calibrated arm's.
-    assert len(std) == len(plain) + 30 + 2
-    assert np.count_nonzero(std == 0.01) == np.count_nonzero(plain == 0.01) + 1
-    assert np.count_nonzero(np.isclose(std, 0.005)) >= 5
-    assert np.any(np.isclose(std, 0.0015)) and not np.any(np.isclose(plain, 0.0015))
-
-
-def test_where_the_tip_is_is_known_as_well_as_the_joints_zeros():
-    """Rads; since a reference limits are a twentieth, but not of an arm's constant geometry."""
-
-    def known_to(limits):
-        recording = SimpleNamespace(arm=GALEN, specification=limits)
-        return _zero_rad(SimpleNamespace(recording=recording))
-
-    known = dict.fromkeys(LIMITED)
-    tight, usual = (specification_of([name], known) for name in ("galen", "default"))
-    assert known_to(usual) == usual.limit("joint_zero_offset") / 2.0
-    assert known_to(tight) == known_to(tight.scaled(0.05, "")) == pytest.approx(1e-4)
 
 
 @pytest.mark.slow

@@ -15,17 +15,7 @@ from galen_diagnosis.inference.structure import (
 )
 from galen_diagnosis.observation.noise import ChannelNoise
 from galen_diagnosis.observation.observation import Observation
-from galen_diagnosis.observation.recording import read_recording
 from galen_diagnosis.observation.rows import CHANNELS, Stream
-from galen_diagnosis.simulated_recording import make_recording
-from galen_model.arm.galen import GALEN
-
-
-@pytest.fixture(scope="module")
-def recording(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("structure") / "made"
-    make_recording(folder, seed=8, bags=("sweep",), arm=GALEN)
-    return read_recording(folder)
 
 
 def changed(recording, by):
@@ -47,8 +37,8 @@ def roll_at_wrenches(bag):
     return np.interp(bag.wrench_s, bag.joint_s, bag.joints[:, 3])
 
 
-def test_a_healthy_arm_leaves_nothing(recording):
-    _, none, seen, fast = left_of(recording)
+def test_a_healthy_arm_leaves_nothing(healthy_sweep):
+    _, none, seen, fast = left_of(healthy_sweep)
     assert seen[0].log_bayes < 3.0
     assert fast.log_bayes < 3.0
     assert len(seen) == 6
@@ -56,13 +46,13 @@ def test_a_healthy_arm_leaves_nothing(recording):
     assert len(none.rows) > 3000
 
 
-def test_a_function_of_a_joint_is_seen_where_means_over_cells_see_none(recording):
+def test_a_function_of_a_joint_is_seen_where_means_over_cells_see_none(healthy_sweep):
     def ripple(bag):
         out = np.zeros((len(bag.wrench_s), 6))
         out[:, 0] = 0.004 * np.sin(3.0 * roll_at_wrenches(bag) + 0.5)  # a fifth of the noise
         return out
 
-    observation, none, seen, fast = left_of(changed(recording, ripple))
+    observation, none, seen, fast = left_of(changed(healthy_sweep, ripple))
     assert seen[0].name == "wrench by roll and tilt"
     assert seen[0].log_bayes > 10.0
     assert seen[0].energy > 20.0
@@ -70,7 +60,7 @@ def test_a_function_of_a_joint_is_seen_where_means_over_cells_see_none(recording
     assert fast.log_bayes < 3.0
 
 
-def test_an_oscillation_is_seen_at_its_frequency_though_its_mean_is_nothing(recording):
+def test_an_oscillation_is_seen_at_its_frequency_though_its_mean_is_nothing(healthy_sweep):
     def moves(bag):
         return np.abs(np.gradient(roll_at_wrenches(bag), bag.wrench_s)) > 0.1
 
@@ -79,13 +69,13 @@ def test_an_oscillation_is_seen_at_its_frequency_though_its_mean_is_nothing(reco
         out[:, 2] = 0.03 * np.sin(2.0 * np.pi * 17.3 * bag.wrench_s)  # as large as the noise
         return out * moves(bag)[:, None]
 
-    observation, none, seen, fast = left_of(changed(recording, hum))
+    observation, none, seen, fast = left_of(changed(healthy_sweep, hum))
     assert fast.name.startswith("wrench in sweep at ")
     from_hz, to_hz = (float(word) for word in fast.name.split()[4:7:2])
     assert from_hz <= 17.3 <= to_hz
     assert fast.log_bayes > 20.0
     # A sine of the noise's size has half its variance; not all of it lies in the band.
-    expected = 0.5 * np.sum(moves(recording.bags["sweep"]))
+    expected = 0.5 * np.sum(moves(healthy_sweep.bags["sweep"]))
     assert 0.5 * expected < fast.energy < 1.2 * expected
     assert seen[0].log_bayes < 3.0
     assert remaining_energy(observation.rows, none.rows)[0] == 0.0

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The arm's numbers, written down a second time, and readings worked out by hand.
 
-Other tests take the numbers from the package on both sides, and would follow a typing error.
+Other tests take the numbers from the package on both sides, and would follow a typing error. The
+geometry is in test_model_kinematics.py, the stiffness in test_model_stiffness.py.
 """
 
 import numpy as np
@@ -9,30 +10,11 @@ import pytest
 from galen_model.arm.galen import (
     ENCODER_QUANTUM,
     GALEN,
-    GRAVITY_M_S2,
     SENSOR,
     TRACKER_POSITION_NOISE_M,
     TRACKER_ROTATION_NOISE_RAD,
 )
 from galen_model.load.model import ADAPTER, TOOLS, nominal_reading
-
-
-def test_geometry_and_stiffness():
-    assert GALEN.joint_names == ("delta_x", "delta_y", "delta_z", "roll", "tilt")
-    assert GALEN.home.tolist() == [0.0, 0.0, 0.408, 0.0, 0.0]
-    assert GRAVITY_M_S2.tolist() == [0.0, 0.0, -9.80665]
-    lengths = (GALEN.delta.rod_length_m, GALEN.delta.rail_radius_m, GALEN.delta.platform_radius_m)
-    assert lengths == (0.440, 0.215, 0.050)
-    assert GALEN.delta.radius_m == pytest.approx(0.165)
-    assert (GALEN.delta.rod_half_spacing_m, GALEN.delta.carriage_travel_m) == (0.0552, 0.25)
-    assert np.degrees(GALEN.delta.leg_angles_rad) == pytest.approx([-60.0, 60.0, 180.0])
-    assert GALEN.joints[3].origin_m.tolist() == [0.0, 0.0, 0.07614]
-    assert GALEN.joints[4].origin_m.tolist() == [0.6085, 0.0, 0.013]
-    assert GALEN.sensor_origin_m.tolist() == [0.031248, 0.0, 0.025]
-    assert (GALEN.delta.carriage_stiffness, GALEN.delta.rod_stiffness) == (3e5, 2e6)
-    assert (GALEN.joints[3].stiffness, GALEN.joints[4].stiffness) == (2000.0, 1500.0)
-    assert GALEN.lower[3:].tolist() == [-1.57, -1.04]
-    assert GALEN.upper[3:].tolist() == [1.57, 0.96]
 
 
 def test_sensor_encoders_and_tracker():

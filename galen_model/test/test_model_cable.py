@@ -3,11 +3,9 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from galen_model.arm.description import read_arm
 from galen_model.arm.galen import GALEN, SENSOR
 from galen_model.calibrated.cable_learning import (
     CableSweep,
@@ -18,22 +16,16 @@ from galen_model.calibrated.cable_learning import (
     spacing_rad,
 )
 from galen_model.errors import CalibrationFileError, IdentificationError, NotExcitedError
-from galen_model.files.calibration_file import (
-    CalibrationFile,
-    read_calibration,
-    write_calibration,
-    zeroed_at,
-)
+from galen_model.files.calibration_file import read_calibration, write_calibration
 from galen_model.load.cable import (
     FORMS,
-    attachment_derivatives,
     form_matrices,
     smooth_kernel,
 )
-from galen_model.load.model import Load, LoadEstimate, gravity_wrench
+from galen_model.load.model import Load, gravity_wrench
 from galen_model.registration import move_wrench
+from model_files import SIX_AXIS, calibration, read_content
 
-SIX = read_arm((Path(__file__).parents[2] / "galen_bringup/urdf/six_axis.urdf").read_text())
 AT = np.array([0.09, 0.01, 0.05])
 ANCHOR = np.array([0.4, 0.3, 0.85])
 NOISE = SENSOR.noise_std
@@ -101,17 +93,10 @@ def test_a_force_at_a_point_reads_as_a_wrench_moved_from_there():
         expected = move_wrench(at_point, np.eye(3), AT)
         found = matrices[0, pose] @ force + matrices[1, pose] @ couple
         assert np.abs(found - expected).max() < 1e-14
-    step = 1e-6
-    for axis, derivative in enumerate(attachment_derivatives("point", joints, arm=GALEN)):
-        moved = AT + step * np.eye(3)[axis]
-        change = form_matrices("point", joints, moved, arm=GALEN) - form_matrices(
-            "point", joints, AT, arm=GALEN
-        )
-        assert np.abs(change[0] / step - derivative).max() < 1e-8
 
 
 @pytest.mark.parametrize(
-    ("form", "arm"), [*((form, GALEN) for form in FORMS), ("point_and_couple", SIX)]
+    ("form", "arm"), [*((form, GALEN) for form in FORMS), ("point_and_couple", SIX_AXIS)]
 )
 def test_the_likelihoods_gradient_is_that_of_finite_differences(form, arm):
     joints = grid(4, 4) if arm is GALEN else six_axis(16)
@@ -218,20 +203,22 @@ def test_poses_at_several_places_of_the_platform_are_covered():
 
 def test_on_another_arm_it_is_learned_where_the_sweep_has_been(tmp_path):
     joints, at = six_axis(50), six_axis(30, seed=1)
-    found = learn_cable(sweep_of(pull(joints, arm=SIX), joints, arm=SIX), WHEN, forms=["point"])
+    found = learn_cable(
+        sweep_of(pull(joints, arm=SIX_AXIS), joints, arm=SIX_AXIS), WHEN, forms=["point"]
+    )
     assert len(found.drag.length_rad) == 6 and found.held_out.chi < 0.2 * found.least_squares.chi
     inside = found.drag.posterior.weights(at) == 1.0
     assert inside.mean() > 0.7
-    error = found.drag.posterior.readings(at[inside]) - pull(at[inside], arm=SIX)
-    assert np.abs(error[:, :3]).max() < 0.02 < 0.2 < np.abs(pull(at, arm=SIX)[:, :3]).max()
+    error = found.drag.posterior.readings(at[inside]) - pull(at[inside], arm=SIX_AXIS)
+    assert np.abs(error[:, :3]).max() < 0.02 < 0.2 < np.abs(pull(at, arm=SIX_AXIS)[:, :3]).max()
     # the arm elsewhere, the wrist as it was: another pull
     assert found.drag.posterior.weights(at + [0, 0, 1.5, 0, 0, 0]).max() == 0.0
-    write_calibration(tmp_path / "a.json", replace(a_tool(found.drag), **on(SIX)))
-    again = read_calibration(tmp_path / "a.json", SIX).cable
+    write_calibration(tmp_path / "a.json", calibration(cable=found.drag, arm=SIX_AXIS))
+    again = read_calibration(tmp_path / "a.json", SIX_AXIS).cable
     assert np.array_equal(again.posterior.readings(at), found.drag.posterior.readings(at))
     still = six_axis(30) * [1, 1, 1, 1, 0, 0] + [0, 0, 0, 0, 0.9, 0.2]
     with pytest.raises(NotExcitedError, match=r"0 rad of \w+; of two joints at least 0\.3"):
-        learn_cable(sweep_of(pull(still, arm=SIX), still, arm=SIX), WHEN)
+        learn_cable(sweep_of(pull(still, arm=SIX_AXIS), still, arm=SIX_AXIS), WHEN)
 
 
 # --- rejections -----------------------------------------------------------------------------------
@@ -265,29 +252,9 @@ def test_a_sweep_that_is_too_sparse_is_rejected(joints, words):
 # --- the file -----------------------------------------------------------------------------------
 
 
-def on(arm):
-    return {"arm": arm, "zeroing": zeroed_at(arm=arm)}
-
-
-def a_tool(drag):
-    load = LoadEstimate(0.1, np.array([0.01, 0.0, 0.02]), 1e-8 * np.eye(4))
-    return CalibrationFile(
-        "pen",
-        load,
-        load,
-        AT,
-        np.zeros(6),
-        56,
-        WHEN,
-        cable=drag,
-        arm=GALEN,
-        zeroing=zeroed_at(arm=GALEN),
-    )
-
-
 def test_a_tools_file_keeps_it_and_reads_it_back(learned, tmp_path):
     path, at = tmp_path / "pen.json", between(6)
-    write_calibration(path, a_tool(learned.drag))
+    write_calibration(path, calibration(cable=learned.drag))
     assert path.stat().st_size < 60_000
     drag = read_calibration(path, arm=GALEN).cable
     assert np.array_equal(drag.posterior.readings(at), learned.drag.posterior.readings(at))
@@ -304,18 +271,14 @@ def test_a_tools_file_keeps_it_and_reads_it_back(learned, tmp_path):
         ({"poses": "none"}, "cable.poses is not a list"),
         ({"length_rad": [1.0]}, "cable.length_rad"),
         ({"length_rad": [0.0, 1.0]}, "cable.length_rad is not between"),
-        ({"length_m": 1e5}, "cable.length_m is not between"),
         ({"amplitude": [float("nan"), 1.0]}, "cable.amplitude"),
         ({"inflation": 0.5}, "cable.inflation"),
-        ({"support_rad": 50.0}, "cable.support_rad"),
         ({"learned_at": ""}, "cable.learned_at"),
         ({"attachment_m": [9.0, 0.0, 0.0]}, "cable.attachment_m"),
     ],
 )
 def test_a_file_that_was_tampered_with_is_rejected(learned, tmp_path, change, words):
-    path = tmp_path / "pen.json"
-    content = a_tool(learned.drag).to_json()
+    content = calibration(cable=learned.drag).to_json()
     content["cable"] |= change
-    path.write_text(json.dumps(content))
     with pytest.raises(CalibrationFileError, match=words):
-        read_calibration(path, arm=GALEN)
+        read_content(tmp_path, content)

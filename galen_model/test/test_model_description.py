@@ -60,7 +60,7 @@ def reference(text, arm, q, tip_m):
     return relative.rotation, relative.translation, turned @ at_tip
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("base", ["", "link_2"])
 def test_any_chain_is_pinocchios(seed, base):
     text, tip_m = random_robot(seed), np.array([0.1, -0.2, 0.05])
@@ -121,19 +121,17 @@ def test_names_what_a_description_lacks(text, frames, message):
         read_arm(random_robot(0) if text is None else text, **{"sensor_frame": "sensor", **frames})
 
 
-@pytest.mark.parametrize("kind", ["floating", "planar"])
-def test_rejects_joints_of_several_degrees_of_freedom(kind):
-    text = random_robot(0).replace('type="continuous"', f'type="{kind}"')
-    with pytest.raises(GalenError, match="degrees of freedom; revolute, continuous and"):
-        read_arm(text, sensor_frame="sensor")
-
-
-def test_rejects_a_joint_that_follows_another():
-    text = random_robot(0).replace(
-        '<limit lower="-2"', '<mimic joint="joint_1" multiplier="2"/><limit lower="-2"'
-    )
-    with pytest.raises(GalenError, match="follows joint_1"):
-        read_arm(text, sensor_frame="sensor")
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('"continuous"', '"floating"', "degrees of freedom; revolute, continuous and"),
+        ('"continuous"', '"planar"', "degrees of freedom; revolute, continuous and"),
+        ("<limit", '<mimic joint="joint_1" multiplier="2"/><limit', "follows joint_1"),
+    ],
+)
+def test_rejects_joints_that_it_can_not_move(old, new, message):
+    with pytest.raises(GalenError, match=message):
+        read_arm(random_robot(0).replace(old, new), sensor_frame="sensor")
 
 
 LIMIT = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'

@@ -2,7 +2,6 @@
 """Identification: known parameters recovered at the noise's limit, bad input rejected by name."""
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,46 +12,33 @@ from galen_model.load.choice import choose_calibration
 from galen_model.load.identification import (
     check_planned_poses,
     identify_one_sweep,
-    identify_single_load,
     identify_two_sweeps,
-    plain_least_squares,
     zeroing_fault,
 )
 from galen_model.load.model import (
     ADAPTER,
     TOOLS,
     Load,
-    gravity_regressor,
     gravity_wrench,
     nominal_reading,
 )
 from galen_model.load.readings import StillPoses
+from model_files import SIGMA, SIX_AXIS_URDF, sweep_grid
 
-SIX_AXIS = (Path(__file__).parents[2] / "galen_bringup/urdf/six_axis.urdf").read_text()
-SIGMA = np.array([0.02, 0.02, 0.03, 4e-4, 4e-4, 4e-4]) / np.sqrt(125)
 NO_TOOL = Load(0.0)
 
 
-def grid(tilts=7, rolls=8, roll=1.5, tilt=(-1.0, 0.9)):
-    mesh = np.meshgrid(np.linspace(*tilt, tilts), np.linspace(-roll, roll, rolls), indexing="ij")
-    return np.column_stack([mesh[1].ravel(), mesh[0].ravel()])
-
-
 def sweeps(tool, rng, noise=SIGMA, drift=0.0, poses=None, arm=GALEN):
-    angles = grid() if poses is None else poses
+    angles = sweep_grid() if poses is None else poses
     zeroing = noise * rng.standard_normal(6)
     bare = nominal_reading(angles, NO_TOOL, ADAPTER, arm=arm) + zeroing
     with_tool = nominal_reading(angles, tool, ADAPTER, arm=arm) + zeroing + drift
     hours = np.arange(float(len(angles)))
+    bare += noise * rng.standard_normal(bare.shape)
+    with_tool += noise * rng.standard_normal(bare.shape)
     return (
-        StillPoses(angles, bare + noise * rng.standard_normal(bare.shape), None, hours, arm=arm),
-        StillPoses(
-            angles,
-            with_tool + noise * rng.standard_normal(bare.shape),
-            None,
-            100.0 + hours,
-            arm=arm,
-        ),
+        StillPoses(angles, bare, None, hours, arm=arm),
+        StillPoses(angles, with_tool, None, 100.0 + hours, arm=arm),
     )
 
 
@@ -90,7 +76,7 @@ def test_noise_free_sweeps_give_the_loads_to_rounding(name):
     ],
 )
 def test_the_loads_on_a_six_axis_arm_are_found_on_the_floor_and_on_a_wall(identify, down):
-    arm, tool = read_arm(SIX_AXIS, gravity_m_s2=down), TOOLS["retractor"].load
+    arm, tool = read_arm(SIX_AXIS_URDF, gravity_m_s2=down), TOOLS["retractor"].load
     poses = np.random.default_rng(3).uniform(-2.0, 2.0, (40, 6))
     found = identify(*sweeps(tool, np.random.default_rng(1), poses=poses, arm=arm))
     error = estimate(found) - truth(tool)
@@ -110,7 +96,7 @@ def test_coverage_and_efficiency_over_200_calibrations():
     Healthy poses are hardly ever rejected: one in a hundred calibrations by design.
     """
     tool, rng, count = TOOLS["pointer"].load, np.random.default_rng(7), 200
-    errors, stds, rejected, bound = [], [], 0, cramer_rao(grid(), tool)
+    errors, stds, rejected, bound = [], [], 0, cramer_rao(sweep_grid(), tool)
     for _ in range(count):
         found = identify_two_sweeps(*sweeps(tool, rng))
         errors.append(estimate(found) - truth(tool))
@@ -185,17 +171,11 @@ def test_poses_that_do_not_turn_are_rejected_by_name():
     with pytest.raises(NotExcitedError, match=r"the tool's mass.*0.000 rad of roll"):
         identify_two_sweeps(*sweeps(tool, rng, poses=same))
     with pytest.raises(NotExcitedError, match="times less information than well-spread"):
-        identify_two_sweeps(*sweeps(tool, rng, poses=grid(roll=0.05, tilt=(-0.05, 0.05))))
-    still_good = identify_two_sweeps(*sweeps(tool, rng, poses=grid(roll=0.3, tilt=(-0.3, 0.3))))
+        identify_two_sweeps(*sweeps(tool, rng, poses=sweep_grid(roll=0.05, tilt=(-0.05, 0.05))))
+    still_good = identify_two_sweeps(
+        *sweeps(tool, rng, poses=sweep_grid(roll=0.3, tilt=(-0.3, 0.3)))
+    )
     assert np.all(np.abs(estimate(still_good) - truth(tool)) < 5 * stated_std(still_good))
-
-
-def test_gate_names_the_direction_that_two_orientations_leave_open():
-    """Orientations along +-one line tell nothing of the centre along that line."""
-    gravity = np.array([[0.0, 0.0, 9.80665], [0.0, 0.0, -9.80665]] * 4)
-    reading = gravity_wrench(gravity, Load(0.3, np.array([0.01, 0.02, 0.03])))
-    with pytest.raises(NotExcitedError, match="about the tool's centre along z:"):
-        identify_single_load(gravity, reading, arm=GALEN)
 
 
 def test_mass_that_is_not_positive_is_rejected():
@@ -241,8 +221,10 @@ BIAS = np.array([0.4, -3.1, -4.0, -0.07, -0.02, -0.05])
 def test_one_sweep_of_a_sensor_that_was_not_zeroed_is_one_load_and_its_offset(bias):
     tool, rng = TOOLS["retractor"].load, np.random.default_rng(15)
     both = Load(0.3, (tool.moments + ADAPTER.moments)[1:] / 0.3)
-    readings = gravity_wrench(GALEN.gravity_in_sensor(grid()), both) + bias
-    sweep = StillPoses(grid(), readings + SIGMA * rng.standard_normal(readings.shape), arm=GALEN)
+    readings = gravity_wrench(GALEN.gravity_in_sensor(sweep_grid()), both) + bias
+    sweep = StillPoses(
+        sweep_grid(), readings + SIGMA * rng.standard_normal(readings.shape), arm=GALEN
+    )
     found = choose_calibration(None, sweep)
     assert not found.zeroed and found.adapter.mass_kg == 0.0
     assert abs(found.load.mass_kg - 0.3) < 4.0 * found.load.mass_std_kg
@@ -252,18 +234,18 @@ def test_one_sweep_of_a_sensor_that_was_not_zeroed_is_one_load_and_its_offset(bi
 
 
 def test_one_sweep_of_a_zeroed_sensor_is_told_from_others():
-    """The test's level is 0.1 %: of 40 sets of a zeroed sensor at most 1 (else once in 1,300)."""
+    """The test's level is 0.1 %: of 20 sets of a zeroed sensor at most 1 (else once in 5,000)."""
     tool, rng = TOOLS["pointer"].load, np.random.default_rng(16)
     home = GALEN.gravity_in_sensor(None)
-    zeroed = [zeroing_fault(sweeps(tool, rng)[1], home) for _ in range(40)]
+    zeroed = [zeroing_fault(sweeps(tool, rng)[1], home) for _ in range(20)]
     assert np.count_nonzero(zeroed) <= 1
-    for _ in range(5):
+    for _ in range(3):
         _, sweep = sweeps(tool, rng, drift=rng.normal(size=6) * [1, 1, 1, 0.05, 0.05, 0.05])
         assert zeroing_fault(sweep, home)
     heavy = np.array([9.80665 * 0.3, 0.0, 0.0, 0.0, 0.0, 0.0])  # as an adapter of -300 g more
     assert "adapter would weigh" in zeroing_fault(sweeps(tool, rng, drift=heavy)[1], home)
-    assert choose_calibration(None, sweeps(tool, rng)[1]).zeroed
-    assert not choose_calibration(None, sweeps(tool, rng)[1], zeroed=False).zeroed
+    _, few = sweeps(tool, rng, poses=sweep_grid(3, 4))
+    assert not choose_calibration(None, few, zeroed=False).zeroed
 
 
 @pytest.mark.slow
@@ -276,34 +258,6 @@ def test_one_sweep_coverage():
         inside.append(np.abs(estimate(found) - truth(tool)) < 1.96 * stated_std(found))
     rate = np.delete(np.mean(inside, axis=0), [1, 5])  # the two that it says it doesn't know
     assert 0.90 < rate.mean() < 0.99
-
-
-def test_single_load_equals_plain_least_squares_on_clean_data_and_beats_it_on_touched():
-    rng = np.random.default_rng(14)
-    gravity = rng.standard_normal((24, 3))
-    gravity *= 9.80665 / np.linalg.norm(gravity, axis=1, keepdims=True)
-    load, offset = (
-        Load(0.93, np.array([0.001, -0.002, 0.044])),
-        np.array([9, -1, 10, 0.4, -0.7, -0.2]),
-    )
-    noise = np.array([0.05, 0.05, 0.05, 2e-3, 2e-3, 2e-3])
-    reading = gravity_wrench(gravity, load) + offset + noise * rng.standard_normal((24, 6))
-    moments, biases = plain_least_squares(gravity, reading)
-    robust = identify_single_load(gravity, reading, arm=GALEN)
-    # the weights differ (each axis' own noise here): equal within a part of the noise's limit
-    assert robust.used.all()
-    assert abs(robust.load.mass_kg - moments[0]) < 0.3 * robust.load.mass_std_kg
-    np.testing.assert_allclose(robust.offset, biases, atol=0.01)
-    reading[[2, 9]] += 4.0
-    moments, _ = plain_least_squares(gravity, reading)
-    robust = identify_single_load(gravity, reading, arm=GALEN)
-    assert not robust.used[[2, 9]].any()
-    assert abs(robust.load.mass_kg - 0.93) < abs(moments[0] - 0.93)
-    assert robust.predict(gravity).shape == (24, 6)
-    np.testing.assert_allclose(
-        robust.predict(gravity),
-        gravity_regressor(gravity) @ robust.load.load.moments + robust.offset,
-    )
 
 
 def test_noise_free_readings_with_quanta_are_identified():
@@ -319,10 +273,8 @@ def test_noise_free_readings_with_quanta_are_identified():
     np.testing.assert_allclose(estimate(found), truth(tool), atol=0.25e-3)
 
 
-@pytest.mark.parametrize("value", [0.0, 0.3])
-@pytest.mark.parametrize("channel", range(6))
-def test_a_channel_that_never_changes_is_named(channel, value):
-    axis = ("fx", "fy", "fz", "tx", "ty", "tz")[channel]
+@pytest.mark.parametrize(("axis", "channel", "value"), [("fy", 1, 0.3), ("tz", 5, 0.0)])
+def test_a_channel_that_never_changes_is_named(axis, channel, value):
     for sticks in ((0, 1), (1,)):
         both = sweeps(TOOLS["pointer"].load, np.random.default_rng(15))
         for sweep in sticks:
@@ -356,17 +308,17 @@ def test_a_bias_drift_within_a_sweep_is_told():
 
 
 def test_planned_poses_are_judged_before_the_arm_moves():
-    check_planned_poses(grid(), arm=GALEN)
-    check_planned_poses(grid(2, 3), one_sweep=True, arm=GALEN)
+    check_planned_poses(sweep_grid(), arm=GALEN)
+    check_planned_poses(sweep_grid(2, 3), one_sweep=True, arm=GALEN)
     for one_sweep in (False, True):
         with pytest.raises(NotExcitedError, match="each sweep: 1 still poses; at least 4"):
-            check_planned_poses(grid(1, 1), one_sweep=one_sweep, arm=GALEN)
+            check_planned_poses(sweep_grid(1, 1), one_sweep=one_sweep, arm=GALEN)
         with pytest.raises(NotExcitedError, match=r"the tool's centre along \w"):
             check_planned_poses(np.tile([0.3, 0.1], (8, 1)), one_sweep=one_sweep, arm=GALEN)
 
 
 def test_sweep_shapes_are_checked():
     with pytest.raises(IdentificationError, match="shape"):
-        StillPoses(grid(), np.zeros((55, 6)), arm=GALEN)
+        StillPoses(sweep_grid(), np.zeros((55, 6)), arm=GALEN)
     with pytest.raises(IdentificationError, match=r"wrench .* non-finite"):
-        StillPoses(grid(), np.full((56, 6), np.nan), arm=GALEN)
+        StillPoses(sweep_grid(), np.full((56, 6), np.nan), arm=GALEN)

@@ -2,11 +2,9 @@
 """Inertia from recordings of motion: known ones found, to the noise's limit, or rejected."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from galen_model.arm.description import read_arm
 from galen_model.arm.galen import ENCODER_QUANTUM, GALEN, SENSOR
 from galen_model.arm.sensor_motion import sensor_motion
 from galen_model.calibrated.inertia_identification import (
@@ -15,13 +13,9 @@ from galen_model.calibrated.inertia_identification import (
     total_moments,
 )
 from galen_model.errors import IdentificationError, NotExcitedError
-from galen_model.files.calibration_file import CalibrationFile, zeroed_at
-from galen_model.load.inertia import (
-    inertial_regressor,
-    inertial_wrench,
-    point_mass_inertia,
-)
+from galen_model.load.inertia import inertial_regressor, inertial_wrench, point_mass_inertia
 from galen_model.load.model import Load, LoadEstimate
+from model_files import SIX_AXIS, calibration
 
 TOOL, ADAPTER = Load(0.2, np.array([0.07, -0.01, 0.055])), Load(0.1, np.array([0, 0, 0.02]))
 INERTIA = point_mass_inertia(TOOL, ADAPTER) + np.array([3e-4, 5e-4, 4e-4, 2e-5, -4e-5, 1e-5])
@@ -98,10 +92,7 @@ def test_the_inertia_is_found_to_the_noises_limit_and_its_covariance_is_honest()
     assert np.mean([abs(fit.lag_s) < 3.0 * fit.lag_std_s for fit in fits]) > 0.9
 
 
-WALL = replace(
-    read_arm((Path(__file__).parents[2] / "galen_bringup/urdf/six_axis.urdf").read_text()),
-    gravity_m_s2=np.array([0.0, 9.80665, 0.0]),
-)
+WALL = replace(SIX_AXIS, gravity_m_s2=np.array([0.0, 9.80665, 0.0]))
 
 
 @pytest.mark.parametrize(("arm", "size"), [(GALEN, SIZE), (WALL, np.full(6, 0.3))])
@@ -177,16 +168,9 @@ def test_an_endless_joint_that_is_reported_within_one_turn_moves_all_the_same():
 
 def test_the_files_moments_are_the_sum_of_both_loads_with_their_covariances():
     covariance = np.diag([1e-4, 1e-5, 2e-5, 3e-5]) ** 2
-    tool = CalibrationFile(
-        tool="a",
+    tool = calibration(
         load=LoadEstimate(TOOL.mass_kg, TOOL.com_m, covariance),
         adapter=LoadEstimate(ADAPTER.mass_kg, ADAPTER.com_m, covariance),
-        tip_m=np.zeros(3),
-        rmse=np.zeros(6),
-        poses_used=56,
-        calibrated_at="2026-11-21T12:00:00+00:00",
-        arm=GALEN,
-        zeroing=zeroed_at(arm=GALEN),
     )
     moments, spread = total_moments(tool)
     np.testing.assert_allclose(moments, MOMENTS)

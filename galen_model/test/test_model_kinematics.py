@@ -36,13 +36,6 @@ def test_home_is_where_the_chain_of_offsets_puts_it():
     np.testing.assert_allclose(rotation, [[0, 0, 1], [0, 1, 0], [-1, 0, 0]], atol=1e-12)
 
 
-def test_gravity_in_the_sensor_is_the_rotated_vector():
-    q = random_joints(100, seed=3)
-    rotation = GALEN.rotation(q[:, 3:])
-    expected = np.einsum("nji,j->ni", rotation, [0, 0, -9.80665])
-    np.testing.assert_allclose(GALEN.gravity_in_sensor(q[:, 3:]), expected, atol=1e-12)
-
-
 def test_delta_forward_undoes_inverse():
     delta = GALEN.delta
     np.testing.assert_allclose(delta.carriages(GALEN.home[:3]), 0.0, atol=1e-15)

@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The sensor's motion and a load's wrench in motion, against Pinocchio and analytic cases."""
 
-import json
-from pathlib import Path
-
 import numpy as np
 import pinocchio
 import pytest
@@ -11,27 +8,21 @@ from galen_model.arm.description import read_arm
 from galen_model.arm.galen import GALEN
 from galen_model.arm.sensor_motion import MotionOfSensor, sensor_motion
 from galen_model.errors import CalibrationFileError
-from galen_model.files.calibration_file import (
-    read_calibration,
-    write_calibration,
-)
+from galen_model.files.calibration_file import read_calibration, write_calibration
 from galen_model.load.inertia import (
     InertiaEstimate,
     LoadInMotion,
     inertia_matrix,
     inertia_numbers,
-    inertial_regressor,
     inertial_wrench,
     point_mass_inertia,
 )
 from galen_model.load.model import Load, gravity_wrench
-from galen_model.rotation import skew
-from model_files import calibration
+from model_files import SIX_AXIS_URDF, calibration, read_content
 from test_model_description import random_robot
 
 from galen_validation.pinocchio_arm import PinocchioArm
 
-SIX_AXIS = (Path(__file__).parents[2] / "galen_bringup/urdf/six_axis.urdf").read_text()
 INERTIA = np.array([2e-3, 3e-3, 4e-3, 1e-4, -2e-4, 3e-4])
 LOAD = Load(0.3, np.array([0.04, -0.01, 0.05]))
 
@@ -74,9 +65,8 @@ def test_the_sensors_motion_and_a_loads_wrench_are_pinocchios():
     wrench = inertial_wrench(-motion.acceleration_m_s2, *motion[:2], LOAD.moments, inertia)
     for k in range(len(q)):
         velocity, spatial, classical = pinocchio_motion(arm, q[k], v[k], a[k])
-        np.testing.assert_allclose(motion.velocity_rad_s[k], velocity.angular, atol=1e-12)
-        np.testing.assert_allclose(motion.acceleration_rad_s2[k], spatial.angular, atol=1e-11)
-        np.testing.assert_allclose(motion.acceleration_m_s2[k], classical.linear, atol=1e-11)
+        expected = [velocity.angular, spatial.angular, classical.linear]
+        np.testing.assert_allclose([part[k] for part in motion], expected, atol=1e-11)
         rate = body * spatial + velocity.cross(body * velocity)
         np.testing.assert_allclose(wrench[k], -np.r_[rate.linear, rate.angular], atol=1e-12)
         # one moment at a time, in plain floats
@@ -87,9 +77,9 @@ def test_the_sensors_motion_and_a_loads_wrench_are_pinocchios():
         np.testing.assert_allclose(fast, wrench[k], atol=1e-12)
 
 
-@pytest.mark.parametrize("text", [SIX_AXIS, *map(random_robot, range(6))])
+@pytest.mark.parametrize("text", [SIX_AXIS_URDF, *map(random_robot, range(4))])
 def test_the_sensors_motion_on_any_chain_is_that_of_the_whole_robot(text):
-    arm = read_arm(text, sensor_frame="ft_sensor" if text is SIX_AXIS else "sensor")
+    arm = read_arm(text, sensor_frame="ft_sensor" if text is SIX_AXIS_URDF else "sensor")
     model = pinocchio.buildModelFromXML(text)
     data, at = model.createData(), (model.getFrameId(arm.sensor_frame), pinocchio.LOCAL)
     joints = [model.joints[model.getJointId(name)] for name in arm.joint_names]
@@ -111,23 +101,6 @@ def test_the_sensors_motion_on_any_chain_is_that_of_the_whole_robot(text):
         np.testing.assert_allclose(one.at(q[k], v[k], a[k]), expected, atol=1e-11)
 
 
-def test_the_sensors_motion_is_the_second_difference_of_its_pose():
-    arm, step_s = read_arm(SIX_AXIS), 1e-4
-    q, v, a = np.random.default_rng(2).standard_normal((3, len(arm.joints)))
-    times = step_s * np.array([-1.0, 0.0, 1.0])[:, None]
-    rotation, origin = arm.sensor_pose(q + v * times + a * times**2 / 2.0)
-    motion = sensor_motion(q, v, a, arm)
-    linear = rotation[1].T @ (origin[2] - 2.0 * origin[1] + origin[0]) / step_s**2
-    turned = rotation[1].T @ (rotation[2] - rotation[0]) / (2.0 * step_s)
-    np.testing.assert_allclose(motion.acceleration_m_s2, linear, rtol=1e-5)
-    np.testing.assert_allclose(skew(motion.velocity_rad_s), turned, atol=1e-6)
-    # w at the neighbours is in axes that turn with it: its own rate is that in them
-    around = sensor_motion(q + v * times + a * times**2 / 2.0, v + a * times, a, arm).velocity_rad_s
-    np.testing.assert_allclose(
-        motion.acceleration_rad_s2, (around[2] - around[0]) / (2.0 * step_s), rtol=1e-5
-    )
-
-
 def test_at_rest_it_is_the_weight_and_a_pendulum_in_free_fall_of_its_swing_reads_nothing_along_it():
     gravity = np.array([0.0, -9.80665, 0.0])
     still = inertial_wrench(gravity, np.zeros(3), np.zeros(3), LOAD.moments, INERTIA)
@@ -141,14 +114,6 @@ def test_at_rest_it_is_the_weight_and_a_pendulum_in_free_fall_of_its_swing_reads
     np.testing.assert_allclose(wrench[3:], 0.0, atol=1e-15)
     # the rod pulls inward with m w^2 l, so the sensor is pulled outward, along +x
     np.testing.assert_allclose(wrench[0], 0.2 * 4.0 * 0.3, atol=1e-14)
-
-
-def test_every_column_of_the_regressor_has_its_own_effect():
-    q, v, a = random_motion(4)
-    motion = sensor_motion(q, v, a, arm=GALEN)
-    specific = np.array([0.0, 0.0, -9.81]) - motion.acceleration_m_s2
-    columns = inertial_regressor(specific, *motion[:2]).reshape(-1, 10)
-    assert np.linalg.matrix_rank(columns) == 10
 
 
 def test_a_tools_file_holds_the_inertia_or_no_key_for_it(tmp_path):
@@ -166,23 +131,13 @@ def test_a_tools_file_holds_the_inertia_or_no_key_for_it(tmp_path):
     [
         ({"about_sensor_kg_m2": [0.0] * 5}, "inertia.about_sensor_kg_m2 has shape"),
         ({"about_sensor_kg_m2": [-1e-3, 1e-3, 1e-3, 0, 0, 0]}, "principal inertia"),
-        (
-            {
-                "about_sensor_kg_m2": [-1.0, 1.0, 1.0, 0, 0, 0],
-                "covariance": np.diag([9e3] * 6).tolist(),
-            },
-            "principal inertia",
-        ),
         ({"about_sensor_kg_m2": [11.0, 11.0, 11.0, 0, 0, 0]}, "more than 10"),
         ({"order": ["xx", "xy", "xz", "yy", "yz", "zz"]}, "inertia.order"),
         ({"covariance": [[-1.0] * 6] * 6}, "negative variance"),
     ],
 )
-def test_a_wrong_inertia_is_named_with_the_file(tmp_path, change, message):
+def test_a_wrong_inertia_is_named(tmp_path, change, message):
     content = calibration(inertia=InertiaEstimate(INERTIA, np.eye(6) * 1e-12)).to_json()
     content["inertia"] |= change
-    path = tmp_path / "a.json"
-    path.write_text(json.dumps(content))
-    with pytest.raises(CalibrationFileError, match=message) as error:
-        read_calibration(path, arm=GALEN)
-    assert str(path) in str(error.value)
+    with pytest.raises(CalibrationFileError, match=message):
+        read_content(tmp_path, content)

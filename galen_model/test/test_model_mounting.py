@@ -3,20 +3,13 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pinocchio
 import pytest
-from galen_model.arm.description import read_arm
 from galen_model.arm.galen import GALEN
 from galen_model.errors import IdentificationError, NotExcitedError
-from galen_model.files.calibration_file import (
-    CalibrationFile,
-    read_calibration,
-    write_calibration,
-    zeroed_at,
-)
+from galen_model.files.calibration_file import read_calibration, write_calibration
 from galen_model.json_fields import FieldError
 from galen_model.load.identification import (
     KnownLoad,
@@ -26,21 +19,21 @@ from galen_model.load.identification import (
     identify_two_sweeps,
 )
 from galen_model.load.model import ADAPTER, TOOLS, Load, LoadEstimate
-from galen_model.load.mounting import Mounting, entities, groups_of, parameters
+from galen_model.load.mounting import Mounting, entities, groups_of
 from galen_model.load.mounting_worth import MOUNTED, ROBUST, Calibrated, worth
 from galen_model.load.reading_model import JointPoses, MountedSweep, ReadingModel
 from galen_model.load.readings import StillPoses, with_offsets
+from model_files import SIGMA, calibration, sweep_grid
+from model_files import SIX_AXIS as SIX
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from galen_validation.pinocchio_arm import PinocchioArm
 
-SIGMA = np.array([0.02, 0.02, 0.03, 4e-4, 4e-4, 4e-4]) / np.sqrt(125)
 DEG = np.pi / 180.0
 RETRACTOR, NOTHING = TOOLS["retractor"].load, Load(0.0)
 ARM = PinocchioArm()
 LEVEL = Mounting.of(GALEN)
-SIX = read_arm((Path(__file__).parents[2] / "galen_bringup/urdf/six_axis.urdf").read_text())
 WALL = replace(SIX, gravity_m_s2=np.array([0.0, 9.80665, 0.0]))
 SIX_MODEL = pinocchio.buildModelFromXML(SIX.urdf)
 GRAVITY = np.array([0.0, 0.0, -9.80665])
@@ -55,11 +48,6 @@ def mounting(seed=3, size=1.0, only=None, arm=GALEN):
         basis = np.array([e.direction for e in entities(only, arm)])
         vector = np.linalg.pinv(basis) @ basis @ vector
     return Mounting.from_vector(size * vector, joints=arm.turning_names)
-
-
-def grid(tilts=7, rolls=8):
-    mesh = np.meshgrid(np.linspace(-1.0, 0.9, tilts), np.linspace(-1.5, 1.5, rolls), indexing="ij")
-    return np.column_stack([mesh[1].ravel(), mesh[0].ravel()])
 
 
 def base_from_sensor(angles):
@@ -98,7 +86,7 @@ def reading(mounted, angles, tool, gravity=GRAVITY):
 
 
 def sweeps(mounted, rng=None, noise=SIGMA, poses=None, tool=RETRACTOR, arm=GALEN):
-    angles = grid() if poses is None else poses
+    angles = sweep_grid() if poses is None else poses
     made = []
     for load in (NOTHING, tool):
         wrench = reading(mounted, angles, load, arm.gravity_m_s2)
@@ -108,26 +96,15 @@ def sweeps(mounted, rng=None, noise=SIGMA, poses=None, tool=RETRACTOR, arm=GALEN
     return made
 
 
-def tool_file(mounted, load=RETRACTOR):
-    none = np.zeros((4, 4))
-    return CalibrationFile(
-        "retractor",
-        LoadEstimate(load.mass_kg, np.asarray(load.com_m), none),
-        LoadEstimate(ADAPTER.mass_kg, np.asarray(ADAPTER.com_m), none),
-        np.zeros(3),
-        np.zeros(6),
-        56,
-        "2026-01-01T00:00:00+00:00",
-        mounting=mounted,
-        arm=GALEN,
-        zeroing=zeroed_at(arm=GALEN),
-    )
+def tool_file(mounted):
+    load = LoadEstimate(RETRACTOR.mass_kg, np.asarray(RETRACTOR.com_m), np.zeros((4, 4)))
+    return calibration("retractor", load=load, mounting=mounted)
 
 
 def test_the_reading_is_that_of_finite_rotations_in_pinocchio():
     """At 20 degrees and more, where a slip in order or sign can't hide."""
     mounted = mounting(size=30.0)
-    angles = grid(3, 4)
+    angles = sweep_grid(3, 4)
     expected = reading(mounted, angles, RETRACTOR)
     file = tool_file(mounted)
     np.testing.assert_allclose(file.predict(angles), expected, atol=1e-12)
@@ -137,7 +114,7 @@ def test_the_reading_is_that_of_finite_rotations_in_pinocchio():
 
 def test_a_push_comes_out_right_through_gains_rotation_and_zeroing():
     mounted, push = mounting(size=30.0), np.array([5.0, -3.0, 2.0, 0.1, 0.2, -0.3])
-    angles = grid(3, 4)
+    angles = sweep_grid(3, 4)
     weight = reading(mounted, angles, RETRACTOR)
     both = true_wrench(mounted, angles, RETRACTOR) + true_wrench(mounted, angles, ADAPTER)
     raw = sensed(mounted, both + push) - (sensed(mounted, both) - weight)
@@ -146,13 +123,10 @@ def test_a_push_comes_out_right_through_gains_rotation_and_zeroing():
 
 
 def two_sweeps_model(groups, arm=GALEN):
-    angles = grid(4, 5) if arm is GALEN else six_poses(20)
+    angles = sweep_grid(4, 5) if arm is GALEN else six_poses(20)
     poses, adapter = JointPoses(angles, arm), slice(4, 8)
     return ReadingModel(
-        [
-            MountedSweep(poses, None, adapter),
-            MountedSweep(poses, slice(0, 4), adapter),
-        ],
+        [MountedSweep(poses, None, adapter), MountedSweep(poses, slice(0, 4), adapter)],
         JointPoses(angles[:1] + 0.1, arm),
         entities(groups, arm),
         8,
@@ -187,45 +161,35 @@ def test_four_twins_and_no_others():
     assert singular[-5] > 1e-3 * singular[0]
 
 
-TOLD = [
-    ["sensor_rotation", "gain_ratio", "base_inclination"],
-    ["sensor_rotation_x", "sensor_rotation_z", "joint_zero", "gain_ratio", "base_inclination_y"],
-]
-
-
-@pytest.mark.parametrize("groups", TOLD)
-def test_next_to_no_noise_gives_the_mounting_and_the_loads(groups):
-    mounted, rng = mounting(only=groups), np.random.default_rng(2)
-    made = sweeps(mounted, rng, noise=1e-6 * SIGMA, poses=grid(4, 5))
-    found = identify_two_sweeps(*made, groups=groups)
-    np.testing.assert_allclose(found.mounting.vector, mounted.vector, atol=1e-8)
-    assert found.load.mass_kg == pytest.approx(RETRACTOR.mass_kg, abs=1e-8)
-    np.testing.assert_allclose(found.load.com_m, RETRACTOR.com_m, atol=1e-8)
-    assert not found.outliers
-
-
 def six_poses(count=40):
     return np.random.default_rng(8).uniform(-2.0, 2.0, (count, 6))
 
 
 @pytest.mark.parametrize(
-    "groups",
+    ("arm", "names"),
     [
-        ["joint_zero", "sensor_rotation_x", "sensor_rotation_y", "gain_ratio", "base_inclination"],
-        ["sensor_rotation", "base_inclination", "wrist_1_zero", "wrist_2_zero"],
+        (GALEN, "sensor_rotation gain_ratio base_inclination"),
+        (GALEN, "sensor_rotation_x sensor_rotation_z joint_zero gain_ratio base_inclination_y"),
+        (SIX, "joint_zero sensor_rotation_x sensor_rotation_y gain_ratio base_inclination"),
+        (SIX, "sensor_rotation base_inclination wrist_1_zero wrist_2_zero"),
     ],
 )
-def test_next_to_no_noise_gives_the_mounting_of_a_six_axis_arm(groups):
-    mounted, rng = mounting(only=groups, arm=SIX), np.random.default_rng(2)
-    made = sweeps(mounted, rng, noise=1e-6 * SIGMA, poses=six_poses(), arm=SIX)
+def test_next_to_no_noise_gives_the_mounting_and_the_loads(arm, names):
+    groups = names.split()
+    mounted, rng = mounting(only=groups, arm=arm), np.random.default_rng(2)
+    poses = sweep_grid(4, 5) if arm is GALEN else six_poses()
+    made = sweeps(mounted, rng, noise=1e-6 * SIGMA, poses=poses, arm=arm)
     found = identify_two_sweeps(*made, groups=groups)
     np.testing.assert_allclose(found.mounting.vector, mounted.vector, atol=1e-8)
+    assert found.load.mass_kg == pytest.approx(RETRACTOR.mass_kg, abs=1e-8)
     np.testing.assert_allclose(found.load.com_m, RETRACTOR.com_m, atol=1e-8)
-    assert found.mounting.joints == SIX.turning_names
-    again = Mounting.from_json(found.mounting.to_json(), "mounting", SIX)
+    assert not found.outliers
+    assert found.mounting.joints == arm.turning_names
+    again = Mounting.from_json(found.mounting.to_json(), "mounting", arm)
     np.testing.assert_array_equal(again.vector, found.mounting.vector)
-    with pytest.raises(FieldError, match="roll"):
-        Mounting.from_json(found.mounting.to_json(), "mounting", arm=GALEN)
+    other = SIX if arm is GALEN else GALEN
+    with pytest.raises(FieldError, match=other.turning_names[0]):
+        Mounting.from_json(found.mounting.to_json(), "mounting", other)
 
 
 def test_joints_without_an_effect_keep_their_zero_and_parallel_ones_share_one():
@@ -267,7 +231,7 @@ def test_gravity_along_any_axis_of_the_base_is_inclined_with_it():
 def test_an_inclination_shows_wherever_gravity_points(direction, axes):
     """Two angles of 2 to 4 degrees, against the bound of Cramer and Rao."""
     gravity = 9.80665 * np.array(direction) / np.linalg.norm(direction)
-    arm, poses, rng = replace(SIX, gravity_m_s2=gravity), six_poses(20), np.random.default_rng(4)
+    arm, poses, rng = replace(SIX, gravity_m_s2=gravity), six_poses(12), np.random.default_rng(4)
     at = ["xyz".index(axis) for axis in axes]
     angles = np.zeros(3)
     angles[at] = 0.07, -0.04
@@ -306,7 +270,7 @@ def test_along_z_a_file_has_two_angles_and_a_turn_about_gravity_does_not_show():
     assert np.shape(whole["covariance"]) == (13, 13)
     back = Mounting.from_json(whole, "mounting", GALEN)
     assert back.base_inclination_rad.tolist() == [0.02, -0.03, 0.0]
-    made = sweeps(LEVEL, np.random.default_rng(1), poses=grid(4, 5))
+    made = sweeps(LEVEL, np.random.default_rng(1), poses=sweep_grid(4, 5))
     with pytest.raises(NotExcitedError, match="the base's inclination about z"):
         identify_two_sweeps(*made, groups=["base_inclination_z"])
 
@@ -343,7 +307,7 @@ def test_twins_are_rejected_by_name(groups, pair):
     with pytest.raises(NotExcitedError) as rejected:
         identify_two_sweeps(*sweeps(mounting(only=groups), rng), groups=groups)
     with pytest.raises(NotExcitedError) as planned:
-        check_planned_poses(grid(), groups, arm=GALEN)
+        check_planned_poses(sweep_grid(), groups, arm=GALEN)
     for message in (str(rejected.value), str(planned.value)):
         assert named_pairs(message) == {frozenset(f"the {name}" for name in pair)}
 
@@ -356,7 +320,7 @@ def test_a_tool_on_the_axis_does_not_tell_the_torque_about_it():
 
 
 def test_a_healthy_arm_gives_zeros_and_does_not_pay():
-    bare, tool = sweeps(LEVEL, np.random.default_rng(11), poses=grid(4, 6))
+    bare, tool = sweeps(LEVEL, np.random.default_rng(11), poses=sweep_grid(4, 6))
     measured = Calibrated(bare, tool, ["sensor_rotation", "gain_ratio", "base_inclination"])
     found = measured.identify()
     basis = np.array([e.direction for e in entities(measured.groups, arm=GALEN)]).T
@@ -372,23 +336,13 @@ def test_a_healthy_arm_gives_zeros_and_does_not_pay():
 @pytest.mark.slow
 def test_a_turned_sensor_pays_down_to_the_noise():
     mounted = mounting(only=["sensor_rotation"])
-    bare, tool = sweeps(mounted, np.random.default_rng(12), poses=grid(4, 6))
+    bare, tool = sweeps(mounted, np.random.default_rng(12), poses=sweep_grid(4, 6))
     measured = Calibrated(bare, tool, ["sensor_rotation"])
     verdict = worth(measured, measured.identify())
     assert verdict.pays
     assert np.all(verdict.rmse[MOUNTED] < 1.4 * SIGMA)
     unmounted = verdict.rmse[ROBUST]
     assert not np.all(np.isfinite(unmounted)) or np.any(unmounted > 3.0 * SIGMA)
-
-
-def test_a_touched_pose_is_named_and_does_not_turn_the_sensor():
-    mounted = mounting(only=["sensor_rotation"])
-    bare, tool = sweeps(mounted, np.random.default_rng(13))
-    tool.wrench[17] += [0.5, 0.0, 0.3, 0.0, 0.02, 0.0]
-    found = identify_two_sweeps(bare, tool, groups=["sensor_rotation"])
-    assert [(sweep, pose) for sweep, pose, _ in found.outliers] == [("tool", 17)]
-    error = found.mounting.vector[:3] - mounted.vector[:3]
-    assert np.all(np.abs(error) < 4.5 * found.mounting.std[:3])
 
 
 def test_one_sweep_tells_the_mounting_too():
@@ -434,7 +388,7 @@ def test_the_intervals_hold():
     """30 calibrations against chi-square."""
     groups = ["sensor_rotation", "base_inclination", "gain_ratio"]
     basis = np.array([e.direction for e in entities(groups, arm=GALEN)]).T
-    mounted, poses, count = mounting(only=groups), grid(4, 5), 30
+    mounted, poses, count = mounting(only=groups), sweep_grid(4, 5), 30
     rng = np.random.default_rng(16)
     clean = sweeps(mounted, poses=poses)
     reduce = np.linalg.pinv(basis)
@@ -489,6 +443,3 @@ def test_what_can_not_be_asked_for_is_said():
         KnownLoad(0.0, 1e-3)
     with pytest.raises(IdentificationError, match="known centre"):
         KnownLoad(0.1, 1e-3, np.zeros(3))
-    assert len(parameters(GALEN.turning_names)) == 14
-    basis = np.array([e.direction for group in ALL for e in groups_of(arm=GALEN)[group]])
-    assert np.linalg.matrix_rank(basis) == 13

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Set-up errors are named, and a sound set-up is left alone, on simulated sweeps."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from galen_model.arm.arm import STANDARD_GRAVITY_M_S2
@@ -13,9 +11,9 @@ from galen_model.rotation import matrix_to_quaternion, quaternion_to_matrix, rot
 from galen_model.setup_check.check import check_setup
 from galen_model.setup_check.readings import StillReadings, at_angles
 from galen_model.setup_check.stamps import check_stamps
+from model_files import SIX_AXIS as SIX_AXES
+from model_files import SIX_AXIS_URDF
 
-URDF = (Path(__file__).parents[2] / "galen_bringup/urdf/six_axis.urdf").read_text()
-SIX_AXES = read_arm(URDF)
 NOISE = np.array([0.02, 0.02, 0.03, 4e-4, 4e-4, 4e-4])
 BIAS = np.array([1.0, -2.0, 3.0, 0.05, -0.02, 0.01])
 LOAD = Load(0.85, np.array([0.012, -0.007, 0.065]))
@@ -31,75 +29,50 @@ def sweep(arm, seed=0, count=24, load=LOAD, gravity=None):
     return angles, wrench
 
 
-def reversed_reading(angles, wrench):
-    return angles, -wrench
+def check_at(arm, angles, wrench):
+    return check_setup(at_angles(wrench, angles, arm))
 
 
-def mirrored_x(angles, wrench):
-    return angles, wrench * [-1, 1, 1, -1, 1, 1]
+IN_NMM = np.repeat([1.0, 1e3], 3)
+SECOND_REVERSED = np.where(np.arange(6) == 1, -1.0, 1.0)
+FLANGE = np.kron(np.eye(2), rot_z(np.radians(45.0)))
 
 
-def mirrored_fz(angles, wrench):
-    return angles, wrench * [1, 1, -1, 1, 1, 1]
-
-
-def torque_in_nmm(angles, wrench):
-    return angles, wrench * [1, 1, 1, 1e3, 1e3, 1e3]
-
-
-def in_degrees(angles, wrench):
-    return np.degrees(angles), wrench
-
-
-def reversed_joint(angles, wrench):
-    return angles * np.where(np.arange(angles.shape[1]) == 1, -1.0, 1.0), wrench
-
-
-def exchanged_joints(angles, wrench):
-    return angles[:, [0, 1, 2, 4, 3, 5]], wrench
-
-
-def exchanged_axes(angles, wrench):
-    return angles, wrench[:, [1, 2, 0, 4, 5, 3]]
-
-
-def turned_flange(angles, wrench):
-    turn = rot_z(np.radians(45.0)).T
-    return angles, np.hstack([wrench[:, :3] @ turn.T, wrench[:, 3:] @ turn.T])
-
-
-def torques_and_joint(angles, wrench):
-    return reversed_joint(*torque_in_nmm(angles, wrench))
-
-
-MISTAKES = {
-    reversed_reading: ("the reading is reversed", "negate the wrench"),
-    mirrored_x: ("fx and tx have the wrong sign", "negate fx and tx"),
-    mirrored_fz: ("fz has the wrong sign", "negate fz"),
-    torque_in_nmm: ("torques are in N.mm", "divide torques by 1000"),
-    in_degrees: ("joint angles are in degrees", "rad"),
-    reversed_joint: ("turns the other way", "reverse its sign"),
-    exchanged_joints: ("wrist_1 and wrist_2 are exchanged", "order of names"),
-    exchanged_axes: ("turned by 120.0 deg", "(fx, fy, fz) := (fz, fx, fy)"),
-    turned_flange: ("turned by 45.0 deg about -z", "description"),
-    torques_and_joint: ("torques are in N.mm, and joint", "divide torques by 1000"),
-}
-
-
-@pytest.mark.parametrize("mistake", MISTAKES, ids=lambda mistake: mistake.__name__)
-def test_a_mistake_is_named_with_its_remedy(mistake):
-    found = check_setup(at_angles_of(SIX_AXES, *mistake(*sweep(SIX_AXES))))
-    what, remedy = MISTAKES[mistake]
+@pytest.mark.parametrize(
+    ("mistake", "what", "remedy"),
+    [
+        (lambda q, w: (q, -w), "the reading is reversed", "negate the wrench"),
+        (
+            lambda q, w: (q, w * [-1, 1, 1, -1, 1, 1]),
+            "fx and tx have the wrong",
+            "negate fx and tx",
+        ),
+        (lambda q, w: (q, w * [1, 1, -1, 1, 1, 1]), "fz has the wrong sign", "negate fz"),
+        (lambda q, w: (q, w * IN_NMM), "torques are in N.mm", "divide torques by 1000"),
+        (lambda q, w: (np.degrees(q), w), "joint angles are in degrees", "rad"),
+        (lambda q, w: (q * SECOND_REVERSED, w), "turns the other way", "reverse its sign"),
+        (
+            lambda q, w: (q[:, [0, 1, 2, 4, 3, 5]], w),
+            "wrist_1 and wrist_2 are exch",
+            "order of names",
+        ),
+        (lambda q, w: (q, w[:, [1, 2, 0, 4, 5, 3]]), "turned by 120.0 deg", ":= (fz, fx, fy)"),
+        (lambda q, w: (q, w @ FLANGE), "turned by 45.0 deg about -z", "description"),
+        (
+            lambda q, w: (q * SECOND_REVERSED, w * IN_NMM),
+            "torques are in N.mm, and joint",
+            "divide torques by 1000",
+        ),
+    ],
+)
+def test_a_mistake_is_named_with_its_remedy(mistake, what, remedy):
+    found = check_at(SIX_AXES, *mistake(*sweep(SIX_AXES)))
     assert found is not None
     named = [one for one in found.explanations if what in one.what]
     assert named, found.sentence
     assert remedy in named[0].remedy
     assert named[0].fit.mass_kg == pytest.approx(0.85, abs=0.01)
     np.testing.assert_allclose(np.abs(named[0].fit.com_m), np.abs(LOAD.com_m), atol=0.07)
-
-
-def at_angles_of(arm, angles, wrench):
-    return at_angles(wrench, angles, arm)
 
 
 @pytest.mark.parametrize(
@@ -113,7 +86,7 @@ def at_angles_of(arm, angles, wrench):
 @pytest.mark.parametrize("arm", [GALEN, SIX_AXES], ids=["galen", "six_axis"])
 def test_a_mount_is_named(arm, gravity, words, option):
     down = STANDARD_GRAVITY_M_S2 * np.array(gravity)
-    found = check_setup(at_angles_of(arm, *sweep(arm, gravity=down)))
+    found = check_at(arm, *sweep(arm, gravity=down))
     assert words in found.explanations[0].what
     assert option in found.sentence
     expected = ["ceiling", "reversed"] if gravity[2] == 1.0 else [words]
@@ -121,7 +94,8 @@ def test_a_mount_is_named(arm, gravity, words, option):
 
 
 def test_the_ceiling_and_a_reversed_reading_are_told_apart_by_a_push():
-    found = check_setup(at_angles_of(SIX_AXES, *reversed_reading(*sweep(SIX_AXES))))
+    angles, wrench = sweep(SIX_AXES)
+    found = check_at(SIX_AXES, angles, -wrench)
     assert len(found.explanations) == 2
     assert "what separates them" in found.sentence and "push the tool" in found.sentence
 
@@ -150,21 +124,21 @@ def test_orientations_of_tables_are_checked():
 
 
 def test_another_frame_of_the_description_is_named():
-    turned = URDF.replace(
+    turned = SIX_AXIS_URDF.replace(
         "</robot>",
         '<link name="plate"/><joint name="plate_joint" type="fixed"><parent link="ft_sensor"/>'
         '<child link="plate"/><origin rpy="0 0 0.7"/></joint></robot>',
     )
     plate = read_arm(turned, sensor_frame="plate")
     angles, wrench = sweep(plate)
-    found = check_setup(at_angles_of(read_arm(turned), angles, wrench))
+    found = check_at(read_arm(turned), angles, wrench)
     assert any("--sensor-frame plate" in one.remedy for one in found.explanations)
 
 
 def test_a_sound_set_up_is_left_alone():
     """Gains of 1 %, joint zeros of 4 mrad, drift, touched poses; few poses, narrow sweeps."""
     named = []
-    for seed in range(60):
+    for seed in range(30):
         rng = np.random.default_rng(seed)
         arm, count = (GALEN, SIX_AXES)[seed % 2], int(rng.choice([4, 5, 8, 24, 56]))
         load = Load(rng.uniform(0.1, 2.0), rng.normal(size=3) * 0.06)
@@ -179,12 +153,12 @@ def test_a_sound_set_up_is_left_alone():
         if count > 12:
             touched = rng.integers(0, count, count // 12)
             wrench[touched] += 100.0 * NOISE * rng.normal(size=(len(touched), 6))
-        found = check_setup(at_angles_of(arm, angles, wrench))
+        found = check_at(arm, angles, wrench)
         named += [] if found is None else [(seed, found.sentence)]
     assert named == []
 
 
-@pytest.mark.parametrize("late_s", [-0.8, -0.1, 0.0, 0.25, 2.0])
+@pytest.mark.parametrize("late_s", [-0.1, 0.0, 2.0])
 def test_stamps_that_are_apart_are_named(late_s):
     rng = np.random.default_rng(1)
     time_s = np.arange(0.0, 60.0, 0.01)
@@ -205,5 +179,5 @@ def test_stamps_that_are_apart_are_named(late_s):
 def test_axes_without_signal_are_named():
     angles, wrench = sweep(SIX_AXES)
     wrench[:, :2] = 0.0
-    found = check_setup(at_angles_of(SIX_AXES, angles, wrench))
+    found = check_at(SIX_AXES, angles, wrench)
     assert "fx, fy hardly change" in found.sentence

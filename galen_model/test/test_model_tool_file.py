@@ -2,7 +2,6 @@
 """Calibration files: read back what was written, reject what is not one, survive a kill."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,15 +15,19 @@ from galen_model.files.calibration_file import (
     zeroed_at,
 )
 from galen_model.load.model import ADAPTER, TOOLS, Load, nominal_reading
-from model_files import calibration
+from model_files import SIX_AXIS_URDF, calibration, read_content
 
 
 def zeroing(joints, gravity=(0, 0, -9.80665)):
     return {"zeroing": {"joints": joints, "gravity_in_sensor_m_s2": gravity}}
 
 
-def other_arm(name, *joints):
-    return {"arm": {"name": name, "joints": joints, "urdf_sha256": "0"}}
+def other_arm(name, *joints, sha256="0"):
+    return {"arm": {"name": name, "joints": joints, "urdf_sha256": sha256}}
+
+
+def load(mass_kg, com_m=(0, 0, 0)):
+    return {"load": {"mass_kg": mass_kg, "com_m": com_m, "covariance": np.eye(4).tolist()}}
 
 
 def test_what_is_written_is_read_back(tmp_path):
@@ -37,10 +40,8 @@ def test_what_is_written_is_read_back(tmp_path):
     assert again.to_json() == tool.to_json()
     assert "unresolved" not in json.loads(path.read_text())
     angles = np.array([[0.3, 0.1], [-1.0, 0.7]])
-    expected = (
-        nominal_reading(angles, TOOLS["pointer"].load, ADAPTER, arm=GALEN) + tool.residual_offset
-    )
-    np.testing.assert_allclose(again.predict(angles), expected, atol=1e-14)
+    weight = nominal_reading(angles, TOOLS["pointer"].load, ADAPTER, arm=GALEN)
+    np.testing.assert_allclose(again.predict(angles), weight + tool.residual_offset, atol=1e-14)
 
 
 def test_the_model_chosen_is_kept_and_may_lack(tmp_path):
@@ -50,12 +51,8 @@ def test_the_model_chosen_is_kept_and_may_lack(tmp_path):
     content = json.loads(path.read_text())
     assert words.items() <= content.items()
     assert read_calibration(path, arm=GALEN).model_reason == words["model_reason"]
-    path.write_text(json.dumps({k: v for k, v in content.items() if k not in words}))
-    assert (
-        read_calibration(path, arm=GALEN).model
-        == read_calibration(path, arm=GALEN).model_reason
-        == ""
-    )
+    before = {key: value for key, value in content.items() if key not in words}
+    assert read_content(tmp_path, before).model_reason == ""
 
 
 def schema_1(roll=0.3, tilt=-0.2, gravity=-9.8):
@@ -71,51 +68,32 @@ def schema_1(roll=0.3, tilt=-0.2, gravity=-9.8):
 
 
 def test_a_file_of_schema_1_is_read_as_before(tmp_path):
-    path = tmp_path / "pointer.json"
-    path.write_text(json.dumps(schema_1()))
-    file = read_calibration(path, arm=GALEN)
-    at_zero = GALEN.gravity_in_sensor((0.3, -0.2)) * 9.8 / 9.80665
-    np.testing.assert_allclose(file.gravity_at_zeroing, at_zero, rtol=1e-15)
-    assert (
-        file.zero_angles.tolist() == [0.3, -0.2]
-        and file.arm.name == "galen"
-        and not file.arm_warning
-    )
+    path, file = tmp_path / "pointer.json", read_content(tmp_path, schema_1())
+    assert file.zero_angles.tolist() == [0.3, -0.2]
+    assert file.arm.name == "galen" and not file.arm_warning
     angles = np.array([[0.3, 0.1], [-1.0, 0.7]])
-    expected = (
-        nominal_reading(angles, TOOLS["pointer"].load, ADAPTER, (0.3, -0.2), arm=GALEN)
-        * 9.8
-        / 9.80665
-    )
-    np.testing.assert_allclose(file.predict(angles), expected, atol=1e-14)
+    reading = nominal_reading(angles, TOOLS["pointer"].load, ADAPTER, (0.3, -0.2), arm=GALEN)
+    np.testing.assert_allclose(file.predict(angles), reading * 9.8 / 9.80665, atol=1e-14)
     write_calibration(path, file)
     assert json.loads(path.read_text())["schema_version"] == 2
-    np.testing.assert_array_equal(
-        read_calibration(path, arm=GALEN).predict(angles),
-        file.predict(angles),
-    )
+    again = read_calibration(path, arm=GALEN)
+    np.testing.assert_array_equal(again.predict(angles), file.predict(angles))
 
 
-@pytest.mark.parametrize("field", ["bias", "bias_pose_rad"])
-def test_a_field_that_schema_1_lacks_is_named_as_there(tmp_path, field):
+def test_a_field_that_schema_1_lacks_is_named_as_there(tmp_path):
     content = schema_1()
-    del content[field]
-    path = tmp_path / "pointer.json"
-    path.write_text(json.dumps(content))
-    with pytest.raises(CalibrationFileError, match=f"{field} is missing"):
-        read_calibration(path, arm=GALEN)
+    del content["bias"]
+    with pytest.raises(CalibrationFileError, match="bias is missing"):
+        read_content(tmp_path, content)
 
 
 def test_another_urdf_of_the_same_arm_is_a_warning(tmp_path):
-    path = tmp_path / "pointer.json"
     content = calibration().to_json()
     content["arm"]["urdf_sha256"] = "ab" * 32
-    path.write_text(json.dumps(content))
-    warning = read_calibration(path, arm=GALEN).arm_warning
+    warning = read_content(tmp_path, content).arm_warning
     assert "another URDF of the arm 'galen' (abababababab," in warning
     content["arm"]["urdf_sha256"] = ""  # not known: nothing to compare
-    path.write_text(json.dumps(content))
-    assert read_calibration(path, arm=GALEN).arm_warning == ""
+    assert read_content(tmp_path, content).arm_warning == ""
 
 
 def test_without_a_zeroing_the_adapter_is_weighed_like_the_tool(tmp_path):
@@ -123,9 +101,8 @@ def test_without_a_zeroing_the_adapter_is_weighed_like_the_tool(tmp_path):
     write_calibration(path, calibration(zeroing=None))
     both = nominal_reading((0.3, 0.1), TOOLS["pointer"].load, Load(0.0), arm=GALEN)
     both = both + nominal_reading((0.3, 0.1), ADAPTER, Load(0.0), arm=GALEN)
-    np.testing.assert_allclose(
-        read_calibration(path, arm=GALEN).predict((0.3, 0.1)), both, atol=1e-14
-    )
+    found = read_calibration(path, arm=GALEN).predict((0.3, 0.1))
+    np.testing.assert_allclose(found, both, atol=1e-14)
 
 
 def test_the_old_file_is_kept_as_bak(tmp_path):
@@ -143,24 +120,12 @@ def test_the_old_file_is_kept_as_bak(tmp_path):
     [
         ({"schema_version": 3}, "schema_version is 3"),
         ({"schema_version": True}, "schema_version is True"),
-        (
-            {"arm": {"name": "galen", "joints": GALEN.joint_names, "urdf_sha256": None}},
-            "arm.urdf_sha256 is None",
-        ),
-        (
-            {"load": {"mass_kg": 0.0, "com_m": [0, 0, 0], "covariance": np.eye(4).tolist()}},
-            "load.mass_kg",
-        ),
-        (
-            {"adapter": {"mass_kg": -1e-9, "com_m": [0, 0, 0], "covariance": np.eye(4).tolist()}},
-            "adapter.mass_kg",
-        ),
-        (
-            {"load": {"mass_kg": 1, "com_m": [0, 0], "covariance": np.eye(4).tolist()}},
-            "load.com_m has shape",
-        ),
-        ({"tip_m": [0, 0, None]}, "tip_m"),
-        ({"tip_m": ["a", 0, 0]}, "tip_m does not hold numbers"),
+        (other_arm("galen", *GALEN.joint_names, sha256=None), "arm.urdf_sha256 is None"),
+        (load(0.0), "load.mass_kg"),
+        (load(1e308), "load.mass_kg"),
+        ({"adapter": load(-1e-9)["load"]}, "adapter.mass_kg"),
+        (load(1.0, com_m=(0, 0)), "load.com_m has shape"),
+        ({"tip_m": [0, 0, None]}, "tip_m does not hold numbers"),
         ({"residual_offset": {"force_N": [0, 0, 0]}}, "torque_Nm is missing"),
         ({"gravity_m_s2": [0, 0, 9.8]}, "gravity_m_s2"),
         ({"poses_used": -1}, "poses_used"),
@@ -175,39 +140,27 @@ def test_the_old_file_is_kept_as_bak(tmp_path):
         ({"sensor_frame": ""}, "sensor_frame"),
         (zeroing({"roll": 10**400}), "zeroing.joints.roll"),
         (zeroing({"pan": 0.0}), "zeroing.joints holds 'pan'; joints are delta_x"),
-        (
-            zeroing({}, gravity=(0, 0, -9.0)),
-            "gravity_in_sensor_m_s2 is 9 m/s.2 long; expected 9.80665",
-        ),
+        (zeroing({}, gravity=(0, 0, -9.0)), "_m_s2 is 9 m/s.2 long; expected 9.80665"),
         ({"zeroing": []}, "zeroing is not an object"),
         (other_arm("ur5e", "pan"), "the arm 'ur5e' with the joints pan; this arm is 'galen'"),
         ({"tip_m": [10**400, 0, 0]}, "tip_m"),
         ({"tip_m": ["0.1", "0", "0"]}, "tip_m does not hold numbers"),
         ({"tip_m": [True, 0, 0]}, "tip_m does not hold numbers"),
-        ({"tip_m": {"0": 0.1}}, "tip_m does not hold numbers"),
-        (
-            {"load": {"mass_kg": 1e308, "com_m": [0, 0, 0], "covariance": np.eye(4).tolist()}},
-            "load.mass_kg",
-        ),
         ({"tip_m": [1e200, 0, 0]}, "tip_m holds a value that"),
     ],
 )
 def test_a_wrong_field_is_named_with_the_file(tmp_path, change, message):
-    path = tmp_path / "pointer.json"
-    path.write_text(json.dumps({**calibration().to_json(), **change}))
     with pytest.raises(CalibrationFileError, match=message) as error:
-        read_calibration(path, arm=GALEN)
-    assert str(path) in str(error.value)
+        read_content(tmp_path, calibration().to_json() | change)
+    assert str(tmp_path / "pointer.json") in str(error.value)
 
 
 @pytest.mark.parametrize("field", list(calibration().to_json()))
 def test_a_missing_field_is_named(tmp_path, field):
     content = calibration().to_json()
     del content[field]
-    path = tmp_path / "pointer.json"
-    path.write_text(json.dumps(content))
     with pytest.raises(CalibrationFileError, match=f"{field} is missing"):
-        read_calibration(path, arm=GALEN)
+        read_content(tmp_path, content)
 
 
 @pytest.mark.parametrize("text", [b"", b"{", b"[]", b"\xff\xfe", b"[" * 100_000, b"null"])
@@ -218,9 +171,7 @@ def test_what_is_no_json_object_is_rejected(tmp_path, text):
         read_calibration(path, arm=GALEN)
 
 
-@pytest.mark.parametrize(
-    "field", [name for name in calibration().to_json() if name != "poses_rejected"]
-)
+@pytest.mark.parametrize("field", ["tip_m", "zeroing", "model"])
 @pytest.mark.parametrize("depth", [400, 970])
 def test_what_is_nested_too_deep_is_rejected(tmp_path, field, depth):
     content = {**calibration().to_json(), field: "HERE"}
@@ -252,14 +203,11 @@ def test_a_file_that_is_not_there_is_told_from_a_bad_one(tmp_path):
     assert not isinstance(stop.value.__cause__, OSError)
 
 
-SIX_AXIS = (Path(__file__).parents[2] / "galen_bringup/urdf/six_axis.urdf").read_text()
-
-
 STAND = (
     '<link name="stand"/><joint name="stood" type="fixed"><parent link="stand"/>'
     '<child link="base_link"/><origin rpy="0.3 0 0"/></joint><link name="base_link">'
 )
-STOOD = SIX_AXIS.replace('<link name="base_link">', STAND)
+STOOD = SIX_AXIS_URDF.replace('<link name="base_link">', STAND)
 
 
 @pytest.mark.parametrize(
@@ -284,5 +232,4 @@ def test_a_file_of_another_base_or_geometry_is_rejected(tmp_path, text, base_fra
         read_calibration(path, other)
     content = json.loads(path.read_text())
     del content["zeroing"]["joints"]["elbow"]
-    path.write_text(json.dumps(content))
-    assert read_calibration(path, other).tool == "pointer"  # no more can be told
+    assert read_content(tmp_path, content, other).tool == "pointer"  # no more can be told

@@ -3,15 +3,7 @@
 
 import numpy as np
 from galen_model.registration import move_twist, move_wrench
-from galen_model.rotation import (
-    matrix_to_quaternion,
-    quaternion_to_matrix,
-    rot_x,
-    rot_y,
-    rot_z,
-    rotvec_to_matrix,
-    skew,
-)
+from galen_model.rotation import rotvec_to_matrix
 
 
 def test_power_does_not_depend_on_the_frame():
@@ -31,20 +23,3 @@ def test_levers():
     np.testing.assert_allclose(moved, [0, 2, 0, 0, 0, 0.6], atol=1e-15)
     moved = move_twist([0, 0, 0, 0, 0, 2.0], [0, 0, 0], [0.5, 0, 0])
     np.testing.assert_allclose(moved, [0, 1.0, 0, 0, 0, 2.0], atol=1e-15)
-
-
-def test_elementary_rotations_and_conversions():
-    angle = 0.3
-    for turn, axis in ((rot_x, 0), (rot_y, 1), (rot_z, 2)):
-        np.testing.assert_allclose(
-            turn(angle), rotvec_to_matrix(angle * np.eye(3)[axis]), atol=1e-15
-        )
-        many = turn(np.array([[0.1, 0.2], [0.3, 0.4]]))
-        assert many.shape == (2, 2, 3, 3)
-        np.testing.assert_allclose(many[1, 0], turn(0.3), atol=1e-15)
-    rotation = rotvec_to_matrix([0.3, -0.2, 1.1])
-    np.testing.assert_allclose(
-        quaternion_to_matrix(matrix_to_quaternion(rotation)), rotation, atol=1e-14
-    )
-    v, w = np.array([1.0, 2.0, 3.0]), np.array([-0.4, 0.1, 0.7])
-    np.testing.assert_allclose(skew(v) @ w, np.cross(v, w), atol=1e-15)

@@ -1,8 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the browser's tests share: a Chromium a file, looked over after each test."""
+"""A suite on ROS; and for the browser's tests a Chromium a file, looked over after each test."""
 
 import pytest
 from browser import CHROMEDRIVER, CHROMIUM, Browser
+from panel_ros_world import panel_world
+
+
+@pytest.fixture
+def world(monkeypatch):
+    """A suite that has started, and no node yet."""
+    with panel_world(monkeypatch) as world:
+        yield world
 
 
 @pytest.fixture(scope="module")

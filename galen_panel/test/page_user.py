@@ -41,22 +41,24 @@ def on_page(suite, story, build=_operate):
     assert not errors.texts, "\n".join(errors.texts)
 
 
-def page_test(story=None, **changes):
+def page_test(build=_operate, **changes):
     """Make a test of a coroutine function `story(user, suite, ...)`, on a page of a FakeSuite.
 
-    changes: of the suite's state, before the page is drawn.
+    build: as of `on_page`. changes: of the suite's state, before the page is drawn.
     """
-    if story is None:
-        return functools.partial(page_test, **changes)
 
-    @functools.wraps(story)
-    def test(**arguments):
-        suite = FakeSuite()
-        suite.put(**changes)
-        on_page(suite, lambda user: story(user, suite, **arguments))
+    def decorate(story):
+        @functools.wraps(story)
+        def test(**arguments):
+            suite = FakeSuite()
+            suite.put(**changes)
+            on_page(suite, lambda user: story(user, suite, **arguments), build)
 
-    test.__signature__ = inspect.Signature(list(inspect.signature(story).parameters.values())[2:])
-    return test
+        own = list(inspect.signature(story).parameters.values())[2:]
+        test.__signature__ = inspect.Signature(own)
+        return test
+
+    return decorate
 
 
 @contextmanager
@@ -116,6 +118,16 @@ class PageUser:
 
     def click(self, test_id):
         UserInteraction(self._user, {self.get(test_id)}, None).click()
+
+    async def answer(self, test_id, button="dialog-ok"):
+        """Press what asks a question first, and answer it; returns what was asked."""
+        self.click(test_id)
+        await self.until(lambda: self.all(button))
+        (card,) = (one for one in self.get(button).ancestors() if "panel-dialog" in one.classes)
+        asked = "\n".join(getattr(element, "text", "") for element in card.descendants())
+        self.click(button)
+        await self.until(lambda: not self.all(button))
+        return asked
 
     def enter(self, test_id, value):
         with self._user.client:

@@ -16,7 +16,7 @@ from galen_panel.state.snapshot import (
     NodeLevel,
     SuiteState,
 )
-from page_user import on_page
+from page_user import page_test
 
 NAMES = ("Connect", "Check", "Calibrate", "Verify", "Use")
 GOOD = Behaviour(
@@ -44,12 +44,12 @@ def test_a_first_visit_names_all_that_is_missing_with_the_namespace():
     step = next_step(SuiteState(namespace="left"))
     assert step.name == "Connect"
     assert step.doing == "Missing: driver, compensation, calibration."
-    for command in (
-        "ros2 run galen_sim_driver sim_driver_node --ros-args -r __ns:=/left",
-        "ros2 run galen_gravcomp gravcomp_node --ros-args -r __ns:=/left",
-        "ros2 run galen_calibration_behavior calibration_node --ros-args -r __ns:=/left",
+    for program in (
+        "galen_sim_driver sim_driver_node",
+        "galen_gravcomp gravcomp_node",
+        "galen_calibration_behavior calibration_node",
     ):
-        assert command in step.todo
+        assert f"ros2 run {program} --ros-args -r __ns:=/left" in step.todo
 
 
 @pytest.mark.parametrize("trouble", ["silent", "waiting", "stale_joints", "wrong_frame"])
@@ -65,10 +65,9 @@ def test_without_a_calibration_that_can_be_used_the_next_step_is_to_calibrate():
     state = state_of(tools=(BROKEN,), active_tool=active, nodes=reports(NO_TOOL))
     assert next_step(state).name == "Calibrate"
     failed = BehaviourOutcome("MOTION_TIMEOUT", "roll did not arrive")
-    behaviours = {
-        BehaviourKind.CALIBRATE: Behaviour(1, BehaviourKind.CALIBRATE, "x", outcome=failed)
-    }
-    assert "roll did not arrive" in next_step(replace(state, behaviours=behaviours)).doing.lower()
+    calibration = Behaviour(1, BehaviourKind.CALIBRATE, "x", outcome=failed)
+    state = replace(state, behaviours={calibration.kind: calibration})
+    assert "roll did not arrive" in next_step(state).doing.lower()
 
 
 def test_a_check_that_was_not_good_verifies_nothing():
@@ -90,44 +89,28 @@ def test_what_is_not_published_is_not_in_use():
     assert (step.name, step.done) == ("Use", False)
 
 
-def on_guide(story, **changes):
-    suite = FakeSuite()
-    suite.put(**changes)
-    on_page(suite, lambda user: story(user, suite), guide.build)
+@page_test(guide.build, available=ALL - {"check_tool"})
+async def test_the_check_starts_once_its_node_is_there_and_the_area_is_said_to_be_clear(
+    user, suite
+):
+    await user.until(lambda: not user.get("step-4-go").enabled)
+    suite.put(available=ALL)
+    await user.until(lambda: user.get("step-4-go").enabled)
+    assert user.all("step-3-go") == [], "a step that is done has no button"
+    await user.answer("step-4-go")
+    await user.until(lambda: suite.calls == [("start", Goal(BehaviourKind.CHECK, "pointer"))])
 
 
-def test_the_check_starts_once_the_area_is_said_to_be_clear():
-    async def story(user, suite):
-        assert user.all("step-3-go") == [], "a step that is done has no button"
-        user.click("step-4-go")
-        await user.until(lambda: user.all("dialog-ok"))
-        assert suite.calls == []
-        user.click("dialog-ok")
-        goal = Goal(BehaviourKind.CHECK, "pointer")
-        await user.until(lambda: suite.calls == [("start", goal)])
-
-    on_guide(story)
-
-
-def test_the_last_step_activates_the_tool_that_was_calibrated():
-    async def story(user, suite):
-        user.click("step-5-go")
-        await user.until(lambda: suite.calls == [("activate", "pointer")])
-        suite.put(active_tool=ACTIVE, nodes=reports(COMPENSATING))
-        await user.until(lambda: "5 of 5" in user.get("guide").text)
-        await user.until(lambda: not user.get("guide").value)
-
-    on_guide(
-        story,
-        behaviours={BehaviourKind.CHECK: GOOD},
-        tools=(replace(POINTER, active_tool=False),),
-        active_tool=replace(ACTIVE, tool=""),
-        nodes=reports(NO_TOOL),
-    )
-
-
-def test_a_button_whose_node_is_absent_says_so():
-    async def story(user, suite):
-        await user.until(lambda: not user.get("step-4-go").enabled)
-
-    on_guide(story, available=ALL - {"check_tool"})
+@page_test(
+    guide.build,
+    behaviours={BehaviourKind.CHECK: GOOD},
+    tools=(replace(POINTER, active_tool=False),),
+    active_tool=replace(ACTIVE, tool=""),
+    nodes=reports(NO_TOOL),
+)
+async def test_the_last_step_activates_the_tool_that_was_calibrated(user, suite):
+    user.click("step-5-go")
+    await user.until(lambda: suite.calls == [("activate", "pointer")])
+    suite.put(active_tool=ACTIVE, nodes=reports(COMPENSATING))
+    await user.until(lambda: "5 of 5" in user.get("guide").text)
+    await user.until(lambda: not user.get("guide").value)

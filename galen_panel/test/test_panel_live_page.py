@@ -12,13 +12,9 @@ from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
-import pytest
 from fake_suite import COMPENSATING, FakeSuite
 from galen_model.arm.description import read_arm
-from galen_model.arm.galen import GALEN
-from galen_model.rotation import quaternion_to_matrix
 from galen_panel.page import live
-from galen_panel.page.arm import FORCE_M_PER_N, parts, place
 from galen_panel.state.shapes import draw
 from page_user import on_page
 
@@ -217,44 +213,3 @@ async def test_an_arm_that_comes_later_is_shown_with_its_own_joints(user, shown)
     assert not user.all("arm-problem") and not user.all("arm-roll")
     user.trigger("arm", "init")
     await user.until(lambda: "straight/7" in (shown.placements or [{}])[-1])
-
-
-# Pictures of the arm, and what is missing, without a page
-
-TIP, COM = np.array([0.15, 0.0, 0.05]), np.array([0.055, 0.002, 0.045])
-JOINTS = np.array([0.03, -0.02, 0.42, 0.7, -0.3])
-DEFLECTION = np.array([2e-2, -1e-2, 3e-2, 1e-2, 2e-2, -1e-2])
-WRENCH = np.array([3.0, -2.0, 1.0, 0.0, 0.0, 0.0])
-
-
-def ends(place):
-    middle, axis = np.array(place[:3]), quaternion_to_matrix(place[3:7])[:, 2]
-    return middle - axis * place[7] / 2.0, middle + axis * place[7] / 2.0
-
-
-def test_the_chain_goes_from_the_base_to_the_tip_and_the_bent_one_to_the_displaced_tip():
-    placed = place(draw(GALEN), JOINTS, TIP, COM, DEFLECTION, WRENCH)
-    assert {part["name"] for part in parts(draw(GALEN))} == set(placed)
-    rotation, sensor = GALEN.sensor_pose(JOINTS)
-    _, tip = GALEN.tip_pose(JOINTS, TIP)
-    np.testing.assert_allclose(ends(placed["straight/6"]), [sensor, tip], atol=2e-5)
-    np.testing.assert_allclose(ends(placed["straight/0"])[0], 0.0, atol=2e-5)
-    for piece in range(6):
-        before, after = ends(placed[f"straight/{piece}"]), ends(placed[f"straight/{piece + 1}"])
-        np.testing.assert_allclose(before[1], after[0], atol=4e-5)
-    np.testing.assert_allclose(ends(placed["bent/6"])[1], tip + DEFLECTION[:3], atol=2e-5)
-    np.testing.assert_allclose(placed["com"][:3], sensor + rotation @ COM, atol=1e-5)
-    force = rotation @ WRENCH[:3]
-    size = np.linalg.norm(force)
-    np.testing.assert_allclose(
-        quaternion_to_matrix(placed["force"][3:7])[:, 2], force / size, atol=1e-4
-    )
-    assert placed["force"][7] == pytest.approx(FORCE_M_PER_N * size, abs=1e-4)
-    assert json.loads(json.dumps([parts(draw(GALEN)), placed]))
-
-
-def test_what_is_not_known_is_not_drawn():
-    placed = place(draw(GALEN), GALEN.home, np.zeros(3), None, None, 0.01 * WRENCH)
-    assert placed["force"] is None and placed["com"] is None
-    assert {value for name, value in placed.items() if name.startswith("bent/")} == {None}
-    assert placed["straight/6"] is None, "no tool"

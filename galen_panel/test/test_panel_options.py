@@ -42,24 +42,21 @@ def rejected():
         signal.signal(number, handler)
 
 
-def test_loopback_needs_no_token():
-    for host in ("127.0.0.1", "localhost", "LocalHost", "::1", "[::1]", "127.8.9.1"):
-        options = read_options(["--host", host], {})
-        assert options.token is None and "token" not in options.link
+@pytest.mark.parametrize(
+    "host", ["127.0.0.1", "localhost", "LocalHost", "::1", "[::1]", "127.8.9.1"]
+)
+def test_loopback_needs_no_token(host):
+    options = read_options(["--host", host], {})
+    assert options.token is None and "token" not in options.link
 
 
-def test_any_other_address_gets_a_token_that_is_new_each_time():
-    for host in (
-        "0.0.0.0",
-        "::",
-        "192.0.2.7",
-        "robot.example",
-        "127.0.0.1.example",
-        "0",
-        "localhost.",
-    ):
-        tokens = {read_options(["--host", host], {}).token for _ in range(3)}
-        assert len(tokens) == 3 and min(map(len, tokens)) >= 32
+@pytest.mark.parametrize(
+    "host",
+    ["0.0.0.0", "::", "192.0.2.7", "robot.example", "127.0.0.1.example", "0", "localhost."],
+)
+def test_any_other_address_gets_a_token_that_is_new_each_time(host):
+    tokens = {read_options(["--host", host], {}).token for _ in range(3)}
+    assert len(tokens) == 3 and min(map(len, tokens)) >= 32
 
 
 def test_a_token_of_the_environment_holds_everywhere():

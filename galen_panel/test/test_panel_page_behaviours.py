@@ -29,66 +29,27 @@ CALIBRATED = replace(
     CALIBRATING,
     outcome=BehaviourOutcome("", "it is calibrated", "retractor", "/tools/retractor.json", VALUES),
 )
+NEW = replace(CALIBRATED, outcome=replace(CALIBRATED.outcome, new=True))
 CHECKED = Behaviour(8, BehaviourKind.CHECK, "pointer", total=6, done=6)
 
 
-def _headers(user):
-    """Of what can be unfolded in the outcome."""
-    inside = user.get("outcome").descendants()
-    return [element.text for element in inside if isinstance(element, ui.expansion)]
-
-
-def check_outcome(answer, cause, text="so it is"):
-    return replace(
-        CHECKED,
-        outcome=BehaviourOutcome("", text, "pointer", values={"answer": answer, "cause": cause}),
-    )
-
-
-async def calibrate(user, button="calibrate"):
-    """Press it, and say that the area is clear."""
-    user.click(button)
-    await user.until(lambda: user.all("dialog-ok"))
-    user.click("dialog-ok")
-    await user.until(lambda: not user.all("dialog-ok"))
-
-
-def dialog_text(user):
-    (card,) = (
-        element
-        for element in user.get("dialog-ok").ancestors()
-        if "panel-dialog" in element.classes
-    )
-    return "\n".join(getattr(element, "text", "") for element in card.descendants())
-
-
-@page_test
+@page_test()
 async def test_the_arm_is_not_moved_at_one_click(user, suite):
-    user.click("calibrate")
-    await user.until(lambda: user.all("dialog-ok"))
-    text = dialog_text(user)
-    assert "Calibrate pointer?" in text
-    assert "about 3 min" in text, "two sweeps of 102 s, as the node says"
-    assert "area around the arm" in text
-    assert "removed and put on" not in text
-    user.click("dialog-cancel")
-    await user.until(lambda: not user.all("dialog-ok"))
-    assert suite.calls == []
+    asked = await user.answer("calibrate", "dialog-cancel")
+    assert "Calibrate pointer?" in asked
+    assert "about 3 min" in asked, "two sweeps of 102 s, as the node says"
+    assert "area around the arm" in asked and "removed and put on" not in asked
     user.enter("calibrate-one-sweep", True)
     user.enter("calibrate-by-hand", True)
-    user.click("calibrate")
-    await user.until(lambda: user.all("dialog-ok"))
-    assert "about 2 min" in dialog_text(user)
-    assert "removed and put on" in dialog_text(user)
-    user.click("dialog-cancel")
-    await user.until(lambda: not user.all("dialog-ok"))
+    asked = await user.answer("calibrate", "dialog-cancel")
+    assert "about 2 min" in asked and "removed and put on" in asked
     user.enter("calibrate-hand-guided", True)
-    user.click("calibrate")
-    await user.until(lambda: user.all("dialog-ok"))
-    assert "The arm is not moved: turn the wrist" in dialog_text(user)
+    asked = await user.answer("calibrate", "dialog-cancel")
+    assert "The arm is not moved: turn the wrist" in asked
+    assert suite.calls == []
 
 
-@page_test
+@page_test()
 async def test_what_began_while_the_question_was_open_is_told(user, suite):
     user.click("calibrate")
     await user.until(lambda: user.all("dialog-ok"))
@@ -100,14 +61,14 @@ async def test_what_began_while_the_question_was_open_is_told(user, suite):
     assert suite.calls == []
 
 
-@page_test
+@page_test()
 async def test_each_is_started_with_what_was_chosen(user, suite):
-    await calibrate(user)
+    await user.answer("calibrate")
     await user.until(lambda: suite.calls == [("start", Goal(BehaviourKind.CALIBRATE, "pointer"))])
     user.enter("calibrate-tool", "retractor")
     user.enter("calibrate-one-sweep", True)
     user.enter("calibrate-by-hand", True)
-    await calibrate(user)
+    await user.answer("calibrate")
     goal = Goal(BehaviourKind.CALIBRATE, "retractor", one_sweep=True, by_hand=True)
     assert not goal.hand_guided
     await user.until(lambda: suite.calls[1:] == [("start", goal)])
@@ -134,7 +95,7 @@ async def test_a_node_that_is_absent_is_named_where_its_button_is(user, suite):
     await user.until(lambda: user.get("check").enabled)
 
 
-@page_test
+@page_test()
 async def test_progress_is_followed_and_cancel_is_there(user, suite):
     assert user.all("cancel") == []
     others = replace(CALIBRATING, ours=False)
@@ -177,18 +138,14 @@ async def test_a_person_is_asked_and_answers(user, suite):
     await user.until(lambda: not user.all("confirm"))
 
 
-def test_poses_that_were_not_still_are_told_while_it_runs():
-    suite = FakeSuite()
+@page_test()
+async def test_poses_that_were_not_still_are_told_while_it_runs(user, suite):
     reasons = tuple(f"tool/{number}: moved" for number in range(1, 8))
-
-    async def story(user):
-        suite.put(behaviours={BehaviourKind.CALIBRATE: replace(CALIBRATING, rejected=reasons)})
-        await user.until(lambda: "tool/7: moved" in user.text("calibrate-rejected"))
-        assert "and 3 before" in user.text("calibrate-rejected")
-        suite.put(behaviours={BehaviourKind.CALIBRATE: CALIBRATED})
-        await user.until(lambda: not user.all("calibrate-rejected"))
-
-    on_page(suite, story)
+    suite.put(behaviours={BehaviourKind.CALIBRATE: replace(CALIBRATING, rejected=reasons)})
+    await user.until(lambda: "tool/7: moved" in user.text("calibrate-rejected"))
+    assert "and 3 before" in user.text("calibrate-rejected")
+    suite.put(behaviours={BehaviourKind.CALIBRATE: CALIBRATED})
+    await user.until(lambda: not user.all("calibrate-rejected"))
 
 
 @page_test(behaviours={BehaviourKind.CALIBRATE: CALIBRATED})
@@ -199,7 +156,8 @@ async def test_a_calibration_is_shown_beside_the_old_one_and_kept(user, suite):
     shown = user.text("outcome")
     assert "The load and a constant offset explain all poses." in shown
     assert "Model: constant bias - 8 blocks: none is better." in shown  # folded
-    assert "1 not used" in _headers(user)
+    folded = [one for one in user.get("outcome").descendants() if isinstance(one, ui.expansion)]
+    assert "1 not used" in [one.text for one in folded]
     user.click("keep")
     await user.until(lambda: ("activate", "retractor") in suite.calls)
     active_tool = replace(ACTIVE, tool="retractor", mass_kg=0.2, com_m=(0.07, -0.01, 0.055))
@@ -208,39 +166,28 @@ async def test_a_calibration_is_shown_beside_the_old_one_and_kept(user, suite):
     assert not user.get("keep").enabled
 
 
-def test_of_a_new_tool_all_that_was_found_is_shown():
-    suite = FakeSuite()
-    outcome = replace(CALIBRATED.outcome, new=True)
-    suite.put(behaviours={BehaviourKind.CALIBRATE: replace(CALIBRATED, outcome=outcome)})
-
-    async def story(user):
-        await user.until(lambda: "no file before" in user.text("beside"))
-        for part in ("200.00 ± 0.03 g", "70.00 ± 0.02 mm", "-10.00 ± 0.02 mm"):
-            assert part in user.text("outcome"), part
-        assert ("compare", "retractor") not in suite.calls
-
-    on_page(suite, story)
+@page_test(behaviours={BehaviourKind.CALIBRATE: NEW})
+async def test_of_a_new_tool_all_that_was_found_is_shown(user, suite):
+    await user.until(lambda: "no file before" in user.text("beside"))
+    for part in ("200.00 ± 0.03 g", "70.00 ± 0.02 mm", "-10.00 ± 0.02 mm"):
+        assert part in user.text("outcome"), part
+    assert ("compare", "retractor") not in suite.calls
 
 
-@pytest.mark.parametrize(("new", "call"), [(False, "revert_tool"), (True, "remove_tool")])
-def test_a_calibration_is_discarded_once(new, call):
-    suite = FakeSuite()
-    outcome = replace(CALIBRATED.outcome, new=new)
-    suite.put(behaviours={BehaviourKind.CALIBRATE: replace(CALIBRATED, outcome=outcome)})
-
-    async def story(user):
-        await user.until(lambda: user.get("discard").enabled)
-        user.click("discard")
-        await user.until(lambda: user.all("dialog-ok"))
-        user.click("dialog-ok")
-        await user.until(lambda: (call, "retractor") in suite.calls)
-        # The old file is back: going back again would bring the discarded one.
-        suite.put(tools=(POINTER, replace(RETRACTOR, mass_kg=0.1999)))
-        await user.until(lambda: not user.get("discard").enabled)
-        assert not user.get("keep").enabled
-        assert "another one by now" in user.text("fate")
-
-    on_page(suite, story)
+@pytest.mark.parametrize(
+    ("ended", "call"), [(CALIBRATED, "revert_tool"), (NEW, "remove_tool")], ids=["old", "new"]
+)
+@page_test()
+async def test_a_calibration_is_discarded_once(user, suite, ended, call):
+    suite.put(behaviours={BehaviourKind.CALIBRATE: ended})
+    await user.until(lambda: user.get("discard").enabled)
+    await user.answer("discard")
+    await user.until(lambda: (call, "retractor") in suite.calls)
+    # The old file is back: going back again would bring the discarded one.
+    suite.put(tools=(POINTER, replace(RETRACTOR, mass_kg=0.1999)))
+    await user.until(lambda: not user.get("discard").enabled)
+    assert not user.get("keep").enabled
+    assert "another one by now" in user.text("fate")
 
 
 def test_a_list_from_before_the_calibration_is_not_taken_for_a_discarded_file():
@@ -268,14 +215,12 @@ def test_a_list_from_before_the_calibration_is_not_taken_for_a_discarded_file():
         (3, 8, "check again"), (99, 0, "check again"), (None, 0, "check again"),
     ],
 )  # fmt: skip
-def test_a_quick_check_says_what_to_do(answer, cause, title):
-    suite = FakeSuite()
-    suite.put(behaviours={BehaviourKind.CHECK: check_outcome(answer, cause)})
-
-    async def story(user):
-        assert title in user.text("outcome")
-        assert "So it is." in user.text("outcome")
-        user.click("outcome-close")
-        await user.until(lambda: not user.all("outcome"))
-
-    on_page(suite, story)
+@page_test()
+async def test_a_quick_check_says_what_to_do(user, suite, answer, cause, title):
+    values = {"answer": answer, "cause": cause}
+    outcome = BehaviourOutcome("", "so it is", "pointer", values=values)
+    suite.put(behaviours={BehaviourKind.CHECK: replace(CHECKED, outcome=outcome)})
+    await user.until(lambda: title in user.text("outcome"))
+    assert "So it is." in user.text("outcome")
+    user.click("outcome-close")
+    await user.until(lambda: not user.all("outcome"))

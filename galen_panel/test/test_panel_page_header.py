@@ -10,7 +10,7 @@ from galen_panel.state.snapshot import NodeLevel
 from page_user import on_page, page_test
 
 
-@page_test
+@page_test()
 async def test_it_shows_what_gravcomp_says(user, suite):
     assert "pointer" in user.text("active")
     assert "60.10 g" in user.text("active")
@@ -23,7 +23,7 @@ async def test_it_shows_what_gravcomp_says(user, suite):
     await user.until(lambda: "has changed" in user.text("active"))
 
 
-@page_test
+@page_test()
 async def test_the_switch_asks_for_the_other_state_and_waits_for_gravcomp(user, suite):
     user.click("enable")
     await user.until(lambda: suite.calls == [("set_enabled", False)])
@@ -42,7 +42,7 @@ async def test_the_switch_asks_for_the_other_state_and_waits_for_gravcomp(user, 
         (ACTIVE, NodeLevel.ERROR, "stale_joints"),
     ],
 )
-@page_test
+@page_test()
 async def test_the_switch_is_on_only_while_something_is_published(
     user, suite, active_tool, level, state
 ):
@@ -55,7 +55,7 @@ async def test_the_switch_is_on_only_while_something_is_published(
     await user.until(lambda: suite.calls == [("set_enabled", False)])
 
 
-@page_test
+@page_test()
 async def test_tare_says_what_it_takes_off(user, suite):
     assert user.text("tare-value") == "Tare: none."
     user.click("tare")
@@ -64,7 +64,7 @@ async def test_tare_says_what_it_takes_off(user, suite):
     await user.until(lambda: user.text("tare-value") == "Tare: subtracts 50 mN, 1.0 mN·m.")
 
 
-@page_test
+@page_test()
 async def test_without_gravcomp_all_says_so(user, suite):
     suite.put(active_tool=None, available=frozenset(), tools=None)
     await user.until(lambda: not user.get("enable").enabled)

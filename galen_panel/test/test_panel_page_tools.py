@@ -3,15 +3,14 @@
 
 import math
 from dataclasses import replace
-from functools import partial
 
-from fake_suite import ACTIVE, ALL, POINTER, RETRACTOR, FakeSuite
+from fake_suite import ACTIVE, ALL, POINTER, RETRACTOR
 from galen_panel.page.outcome import is_shown
 from galen_panel.state.snapshot import BehaviourKind, Goal, ListedTool, QuantityDifference
-from page_user import on_page, page_test
+from page_user import page_test
 
 
-@page_test
+@page_test()
 async def test_a_button_a_tool_puts_it_active(user, suite):
     text = user.text("tool-pointer")
     for part in ("60.10 ± 0.03 g", "55.0, 2.0, 45.0 mm", "2026-11-21 14:03 UTC", "active"):
@@ -33,30 +32,26 @@ async def test_a_button_a_tool_puts_it_active(user, suite):
     await user.until(lambda: suite.calls[-1] == ("activate", ""))
 
 
-def test_a_new_calibration_is_not_taken_for_the_one_that_is_compensated():
-    suite = FakeSuite()
+@page_test()
+async def test_a_new_calibration_is_not_taken_for_the_one_that_is_compensated(user, suite):
     new = replace(POINTER, mass_kg=0.0647, calibrated_at="2026-11-23T08:00:00+00:00")
-
-    async def story(user):
-        suite.put(tools=(new, RETRACTOR))
-        await user.until(lambda: "64.70" in user.text("tool-pointer"))
-        text = user.text("tool-pointer")
-        assert "active" not in text.splitlines()
-        assert "not active yet" in text
-        assert "Compensated now: 60.10 g, calibrated 2026-11-21 14:03 UTC" in text
-        assert "Press to load this file" in text
-        assert user.get("tool-pointer").props["aria-pressed"] == "false"
-        assert not user.get("tool-pointer-remove").enabled
-        user.click("tool-pointer")
-        await user.until(lambda: suite.calls == [("activate", "pointer")])
-        suite.put(active_tool=replace(ACTIVE, mass_kg=0.0647, calibrated_at=new.calibrated_at))
-        await user.until(lambda: "active" in user.text("tool-pointer").splitlines())
-        assert "Compensated now" not in user.text("tool-pointer")
-
-    on_page(suite, story)
+    suite.put(tools=(new, RETRACTOR))
+    await user.until(lambda: "64.70" in user.text("tool-pointer"))
+    text = user.text("tool-pointer")
+    assert "active" not in text.splitlines()
+    assert "not active yet" in text
+    assert "Compensated now: 60.10 g, calibrated 2026-11-21 14:03 UTC" in text
+    assert "Press to load this file" in text
+    assert user.get("tool-pointer").props["aria-pressed"] == "false"
+    assert not user.get("tool-pointer-remove").enabled
+    user.click("tool-pointer")
+    await user.until(lambda: suite.calls == [("activate", "pointer")])
+    suite.put(active_tool=replace(ACTIVE, mass_kg=0.0647, calibrated_at=new.calibrated_at))
+    await user.until(lambda: "active" in user.text("tool-pointer").splitlines())
+    assert "Compensated now" not in user.text("tool-pointer")
 
 
-@page_test
+@page_test()
 async def test_a_file_that_was_changed_otherwise_is_not_active_either(user, suite):
     suite.put(active_tool=replace(ACTIVE, file_state="changed"))
     await user.until(lambda: "not active yet" in user.text("tool-pointer"))
@@ -69,13 +64,10 @@ async def test_a_file_that_was_changed_otherwise_is_not_active_either(user, suit
     assert "Compensated now: 60.10 g" in text and "Press" not in text
 
 
-@page_test
+@page_test()
 async def test_removing_is_asked_first(user, suite):
     assert not user.get("tool-pointer-remove").enabled, "it is active"
-    user.click("tool-retractor-remove")
-    await user.until(lambda: user.all("dialog-ok"))
-    user.click("dialog-cancel")
-    await user.until(lambda: not user.all("dialog-ok"))
+    await user.answer("tool-retractor-remove", "dialog-cancel")
     assert suite.calls == []
     user.click("tool-retractor-remove")
     await user.until(lambda: user.all("dialog-ok"))
@@ -86,7 +78,7 @@ async def test_removing_is_asked_first(user, suite):
     await user.until(lambda: user.notices() == ["done"])
 
 
-@page_test
+@page_test()
 async def test_going_back_shows_first_what_would_change(user, suite):
     assert user.all("tool-retractor-revert") == [], "it has none before"
     user.click("tool-pointer-revert")
@@ -96,11 +88,7 @@ async def test_going_back_shows_first_what_would_change(user, suite):
     await user.until(lambda: suite.calls[1:] == [("revert_tool", "pointer")])
 
 
-def rejected(user, reason):
-    return reason in (user.get("new-tool-name").error or "")
-
-
-@page_test
+@page_test()
 async def test_a_new_tool_is_named_and_calibrated(user, suite):
     user.click("new-tool")
     await user.until(lambda: user.all("dialog-ok"))
@@ -112,7 +100,8 @@ async def test_a_new_tool_is_named_and_calibrated(user, suite):
     for name, reason in (*wrong, ("pointer", "this name")):
         user.enter("new-tool-name", name)
         user.click("dialog-ok")
-        await user.until(partial(rejected, user, reason))
+        field = user.get("new-tool-name")
+        await user.until(lambda reason=reason, field=field: reason in (field.error or ""))
     assert suite.calls == []
     user.enter("new-tool-name", "drill_2")
     user.enter("new-tool-tip-x", 150.0)
@@ -140,19 +129,16 @@ async def test_where_nothing_takes_the_tool_off_a_person_does(user, suite):
     await user.until(lambda: suite.calls == [("start", goal)])
 
 
-def test_rows_are_kept_and_the_active_one_is_first():
-    suite = FakeSuite()
-    many = tuple(ListedTool(f"tool_{i:02d}", 0.1, 1e-5, (0, 0, 0.05)) for i in range(20))
-    suite.put(tools=(*many, POINTER))
+MANY = tuple(ListedTool(f"tool_{i:02d}", 0.1, 1e-5, (0, 0, 0.05)) for i in range(20))
 
-    async def story(user):
-        kept = user.get("tool-tool_19")
-        suite.put(tools=(POINTER, *many[10:-1], replace(many[-1], mass_kg=0.3)))
-        await user.until(lambda: "300.00" in user.text("tool-tool_19"))
-        assert user.get("tool-tool_19") is kept, "another one would lose the focus"
-        assert not user.all("tool-tool_00")
 
-    on_page(suite, story)
+@page_test(tools=(*MANY, POINTER))
+async def test_a_row_stays_while_the_list_changes_and_what_left_it_is_gone(user, suite):
+    kept = user.get("tool-tool_19")
+    suite.put(tools=(POINTER, *MANY[10:-1], replace(MANY[-1], mass_kg=0.3)))
+    await user.until(lambda: "300.00" in user.text("tool-tool_19"))
+    assert user.get("tool-tool_19") is kept, "another one would lose the focus"
+    assert not user.all("tool-tool_00")
 
 
 def test_a_comparison_shows_the_load_and_what_else_differs():

@@ -69,19 +69,17 @@ def test_the_panel_waits_for_the_description_and_then_shows_its_joints(monkeypat
         assert world.state.drawing.arm is arm
 
 
-def test_another_arm_on_the_topic_is_reported_with_the_reason(monkeypatch):
-    with panel_world(monkeypatch) as world:
-        assert world.state.drawing.arm.joint_names == GALEN.joint_names
-        driver = world.add(Driver)
-        driver.describe(SIX_AXIS)
-        world.wait_for(
-            lambda state: "robot_description has six_axis: the joints are" in state.arm_problem,
-            "a reason",
-        )
-        driver.describe(SIX_AXIS.replace("ft_sensor", "tool1"))
-        world.wait_for(lambda state: "no frame 'ft_sensor'" in state.arm_problem, "a reason")
-        driver.describe(GALEN.urdf)
-        world.wait_for(lambda state: not state.arm_problem, "the same arm")
+def test_another_arm_on_the_topic_is_reported_with_the_reason(world):
+    assert world.state.drawing.arm.joint_names == GALEN.joint_names
+    driver = world.add(Driver)
+    for text, reason in (
+        (SIX_AXIS, "robot_description has six_axis: the joints are"),
+        (SIX_AXIS.replace("ft_sensor", "tool1"), "no frame 'ft_sensor'"),
+    ):
+        driver.describe(text)
+        world.wait_for(lambda state, reason=reason: reason in state.arm_problem, reason)
+    driver.describe(GALEN.urdf)
+    world.wait_for(lambda state: not state.arm_problem, "the same arm")
 
 
 def test_the_arm_of_a_file_is_shown_with_its_frames(monkeypatch):

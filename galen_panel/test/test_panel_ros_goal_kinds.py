@@ -4,6 +4,7 @@
 import math
 
 import pytest
+from galen_model.files.calibration_file import ToolNameError
 from galen_panel.page.outcome import sentence_of
 from galen_panel.ros.goal_kinds import KINDS, rejected_pose
 from galen_panel.ros.thread import CallError
@@ -34,14 +35,22 @@ def test_goals_become_those_of_the_actions():
     assert CHECK.request(goal(CHECK)).tool == ""
     request = COLLECT.request(goal(COLLECT, "pointer", name="monday"))
     assert (request.name, request.tool, request.push_by_service) == ("monday", "pointer", True)
+
+
+@pytest.mark.parametrize("tool", ["../pointer", "\ud800"])
+def test_a_tool_that_no_file_can_have_as_its_name_is_no_goal(tool):
+    with pytest.raises(ToolNameError):
+        CALIBRATE.request(goal(CALIBRATE, tool))
+
+
+@pytest.mark.parametrize("tip_m", [(math.inf, 0.0, 0.0), (0.0, math.nan, 0.0), (0.0, 0.0)])
+def test_a_tip_has_three_finite_numbers(tip_m):
     with pytest.raises(CallError, match="three finite"):
-        CALIBRATE.request(goal(CALIBRATE, "pointer", tip_m=(math.inf, 0.0, 0.0)))
+        CALIBRATE.request(goal(CALIBRATE, "pointer", tip_m=tip_m))
 
 
 def test_a_check_tells_its_sentence_and_its_numbers():
-    result = CheckTool.Result(
-        tool="pointer", answer=CheckTool.Result.RETARE, text="tare it", poses_used=4
-    )
+    result = CheckTool.Result(answer=CheckTool.Result.RETARE, text="tare it")
     outcome = CHECK.outcome(result, "pointer", new=False)
     assert (outcome.error, outcome.text) == ("", "tare it")
     assert outcome.values["answer"] == CheckTool.Result.RETARE
@@ -77,9 +86,7 @@ def test_what_a_newer_node_says_is_shown_all_the_same():
 
 
 def test_only_a_pose_that_was_not_still_is_rejected():
-    feedback = CalibrateTool.Feedback(
-        state=3, angles=[0.1, 0.0], accepted=False, message="bare/1: moved"
-    )
+    feedback = CalibrateTool.Feedback(state=3, angles=[0.1, 0.0], message="bare/1: moved")
     assert rejected_pose(feedback) == "bare/1: moved"
     feedback.accepted = True
     assert rejected_pose(feedback) == ""
@@ -89,6 +96,5 @@ def test_only_a_pose_that_was_not_still_is_rejected():
 
 def test_only_where_a_tool_is_put_on_or_taken_off_a_person_is_asked():
     asked = {state.name: CALIBRATE.asked(state.name) for state in CALIBRATE.states}
-    assert {name for name, value in asked.items() if value} == {"REMOVE_TOOL", "ATTACH_TOOL"}
-    assert asked["REMOVE_TOOL"] == "REMOVE_TOOL"
+    assert {value for value in asked.values() if value} == {"REMOVE_TOOL", "ATTACH_TOOL"}
     assert CHECK.asked("MEASURE") is None

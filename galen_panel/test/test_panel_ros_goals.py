@@ -11,7 +11,7 @@ from galen_panel.ros import goals as ros_goals
 from galen_panel.state.snapshot import BehaviourKind, Goal
 from galen_ros.node.diagnostics import OK, DiagnosticsPublisher, Status
 from galen_ros.rclpy_workarounds import DeferredActionServer
-from panel_ros_world import World, panel_world
+from panel_ros_world import World
 from rclpy.action import ActionClient, CancelResponse, GoalResponse
 from rclpy.node import Node
 from std_srvs.srv import Trigger
@@ -29,6 +29,8 @@ class Server(Node):
     def __init__(self, context, **_):
         super().__init__("calibration", context=context)
         self.goal = None
+        self.answers = threading.Event()
+        self.answers.set()
         self.canceled = []
         self.confirmed = 0
         self.rejected = ""
@@ -47,6 +49,7 @@ class Server(Node):
         super().destroy_node()
 
     def on_goal(self, request):
+        self.answers.wait(20.0)
         if self.goal is None:
             return GoalResponse.ACCEPT
         self.rejected = f"'{request.tool}' rejected: calibrating {self.goal.request.tool!r} now"
@@ -128,9 +131,8 @@ class Goals(World):
 
 
 @pytest.fixture
-def goals(monkeypatch):
-    with panel_world(monkeypatch) as world:
-        yield Goals(world)
+def goals(world):
+    return Goals(world)
 
 
 def test_a_goal_is_followed_from_pose_to_pose_to_its_result(goals):
@@ -186,18 +188,9 @@ def test_a_goal_is_rejected_with_the_node_s_reason(goals):
     assert goals.behaviour.ours
 
 
-@pytest.mark.parametrize(
-    "goal",
-    [
-        calibrate("../pointer"),
-        calibrate("pointer", tip_m=(0.0, math.nan, 0.0)),
-        calibrate("pointer", tip_m=(0.0, 0.0)),
-        calibrate("\ud800"),
-    ],
-)
-def test_a_goal_that_makes_no_sense_is_not_sent(goals, goal):
-    answer = goals.ask(goals.suite.start(goal))
-    assert not answer.ok and answer.text
+def test_a_goal_that_makes_no_sense_is_not_sent(goals):
+    answer = goals.ask(goals.suite.start(calibrate("../pointer")))
+    assert not answer.ok and "../pointer" in answer.text
     assert goals.server.goal is None and goals.behaviour is None
 
 
@@ -216,15 +209,18 @@ def test_a_goal_that_ends_at_once_has_ended(goals):
         outcome = goals.seen("the end", lambda b: b.outcome if b.number not in numbers else None)
         assert outcome.error == "BAD_INPUT"
         numbers.add(goals.behaviour.number)
-    assert len(numbers) == 10
 
 
-def test_a_goal_of_somebody_else_is_shown_and_can_be_canceled(goals):
+def test_a_goal_of_somebody_else_is_shown_asks_a_person_and_can_be_canceled(goals):
+    goals.server.person = True
     theirs = goals.send_as_another()
     goals.seen("their goal", lambda b: b.tool == "pointer" and b.total == 4)
     behaviour = goals.behaviour
     assert not behaviour.ours and behaviour.running
     assert (behaviour.phase, behaviour.done) == ("tool on", 1)  # from /diagnostics
+    goals.seen("the question", lambda b: b.asked == "ATTACH_TOOL")
+    goals.server.person = False
+    goals.seen("its answer", lambda b: b.asked is None)
     goals.do(lambda: goals.server.pose(2, 0.1))
     goals.seen("its pose", lambda b: b.done == 2 and b.phase == "sweep with tool")
     assert goals.ask(goals.suite.cancel(BehaviourKind.CALIBRATE)).ok
@@ -244,14 +240,6 @@ def test_a_person_is_asked_and_answers(goals):
     assert goals.ask(goals.suite.confirm()).ok and goals.server.confirmed == 2
     goals.do(lambda: goals.server.say(Phase.ZERO))
     goals.seen("the next step", lambda b: b.asked is None)
-
-
-def test_a_question_of_a_goal_that_was_taken_over_is_known_from_diagnostics(goals):
-    goals.server.person = True
-    goals.send_as_another()
-    goals.seen("the question", lambda b: b.asked == "ATTACH_TOOL")
-    goals.server.person = False
-    goals.seen("its answer", lambda b: b.asked is None)
 
 
 def test_a_server_that_goes_away_takes_its_goal_with_it(goals):
@@ -302,40 +290,10 @@ def test_a_goal_that_was_out_of_sight_is_followed_again(goals):
     goals.seen("its end", lambda b: b.outcome and not b.outcome.error)
 
 
-class Late(Node):
-    """An action server that answers a goal when `answer` says so."""
-
-    def __init__(self, context, **_):
-        super().__init__("calibration", context=context)
-        self.answer = threading.Event()
-        self.goal = None
-        self.server = DeferredActionServer(
-            self,
-            CalibrateTool,
-            "calibrate_tool",
-            self.on_goal,
-            self.on_start,
-            lambda _: CancelResponse.ACCEPT,
-        )
-
-    def destroy_node(self):
-        self.server.destroy()
-        super().destroy_node()
-
-    def on_goal(self, _request):
-        self.answer.wait(20.0)
-        return GoalResponse.ACCEPT
-
-    def on_start(self, handle):
-        self.goal = handle
-
-
-def test_a_goal_whose_answer_is_late_is_taken_back(monkeypatch):
+def test_a_goal_whose_answer_is_late_is_taken_back(goals, monkeypatch):
     monkeypatch.setattr(ros_goals, "_SEND_LIMIT_S", 0.3)
-    with panel_world(monkeypatch) as world:
-        server = world.add(Late)
-        world.wait_for_service("calibrate_tool")
-        threading.Timer(1.0, server.answer.set).start()
-        answer = world.ask(world.suite.start(calibrate("pointer")))
-        assert not answer.ok
-        assert "has not answered" in answer.text and "had begun, and is canceled" in answer.text
+    goals.server.answers.clear()
+    threading.Timer(1.0, goals.server.answers.set).start()
+    answer = goals.ask(goals.suite.start(calibrate("pointer")))
+    assert not answer.ok
+    assert "has not answered" in answer.text and "had begun, and is canceled" in answer.text

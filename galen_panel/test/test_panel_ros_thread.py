@@ -13,7 +13,6 @@ from galen_panel.ros.board import Board
 from galen_panel.ros.thread import CallError, RosThread
 from galen_panel.state.snapshot import Behaviour, BehaviourKind, NodeLevel
 from galen_ros.node.spin import DomainLock
-from panel_ros_world import panel_world
 from rclpy.node import Node
 
 
@@ -27,23 +26,27 @@ def thread(monkeypatch):
     lock.release()
 
 
+def ask(thread, job):
+    """Ask from an event loop, as the page does."""
+
+    async def asked():
+        return await asyncio.wait_for(thread.ask(job), 5.0)
+
+    return asyncio.run(asked())
+
+
 def test_jobs_run_in_the_thread_and_their_errors_come_back(thread):
     beats = []
     thread.start("panel", ["panel"], lambda _: beats.append, lambda: None)
+    with pytest.raises(KeyError):
+        ask(thread, lambda reply: {}["nothing"])
 
-    async def jobs():
-        assert await thread.ask(lambda reply: reply.give(3)) == 3
-        with pytest.raises(KeyError):
-            await thread.ask(lambda reply: {}["nothing"])
+    def twice(reply):
+        reply.give("first")
+        reply.give("second")
+        reply.fail(ValueError())
 
-        def twice(reply):
-            reply.give("first")
-            reply.give("second")
-            reply.fail(ValueError())
-
-        assert await thread.ask(twice) == "first"
-
-    asyncio.run(jobs())
+    assert ask(thread, twice) == "first"
     assert beats
 
 
@@ -52,11 +55,7 @@ def test_a_bug_in_a_beat_is_printed_and_does_not_end_the_thread(thread, capfd):
         raise ZeroDivisionError("in a beat")
 
     thread.start("panel", ["panel"], lambda _: beat, lambda: None)
-
-    async def ask():
-        return await asyncio.wait_for(thread.ask(lambda reply: reply.give(3)), 5.0)
-
-    assert asyncio.run(ask()) == 3
+    assert ask(thread, lambda reply: reply.give(3)) == 3
     assert "in a beat" in capfd.readouterr().err
 
 
@@ -66,12 +65,8 @@ def test_what_can_t_be_set_up_is_raised_where_it_is_started(thread):
 
     with pytest.raises(CallError, match="no"):
         thread.start("panel", ["panel"], set_up, lambda: None)
-
-    async def ask():
-        with pytest.raises(CallError, match="stopped"):
-            await thread.ask(lambda reply: reply.give(3))
-
-    asyncio.run(ask())
+    with pytest.raises(CallError, match="stopped"):
+        ask(thread, lambda reply: reply.give(3))
 
 
 def test_a_start_that_takes_too_long_is_one_sentence(thread, monkeypatch):
@@ -102,33 +97,27 @@ def test_a_board_has_a_new_revision_only_where_something_is_new():
     assert first.behaviours == {}
 
 
-def test_diagnostics_of_anybody_are_kept_small(monkeypatch):
-    with panel_world(monkeypatch) as world:
-        node = world.harness.add(lambda context: Node("somebody", context=context))
-        publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        world.harness.wait_for(lambda: publisher.get_subscription_count(), 10.0, "the panel")
+def test_diagnostics_of_anybody_are_kept_small(world):
+    node = world.harness.add(lambda context: Node("somebody", context=context))
+    publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+    world.harness.wait_for(lambda: publisher.get_subscription_count(), 10.0, "the panel")
 
-        def say(*statuses):
-            world.harness.call_in_executor(
-                lambda: publisher.publish(DiagnosticArray(status=list(statuses)))
-            )
+    def say(*statuses):
+        message = DiagnosticArray(status=list(statuses))
+        world.harness.call_in_executor(lambda: publisher.publish(message))
 
-        values = [KeyValue(key=f"key {k}", value="x" * 10_000) for k in range(1000)]
-        say(
-            DiagnosticStatus(
-                name="noisy\n\x1b[2J", level=b"\x07", message="m" * 100_000, values=values
-            )
-        )
-        world.wait_for(lambda state: state.nodes, "a report")
-        (report,) = world.state.nodes.values()
-        assert report.level is NodeLevel.STALE and report.name.isprintable()
-        assert len(report.message) < 5000 and len(report.values) == 200
-        assert all(len(text) < 5000 for text in report.values.values())
-        for first in (0, 100, 200):
-            say(
-                *(DiagnosticStatus(name=f"node {k}", level=b"\0") for k in range(first, first + 99))
-            )
-        say(DiagnosticStatus(name="gravcomp", level=b"\0", message="fine"))
-        world.wait_for(lambda state: "gravcomp" in state.nodes, "the last one")
-        assert len(world.state.nodes) == 100 and "node 0" not in world.state.nodes
-        assert math.isfinite(world.state.nodes["gravcomp"].heard_s)
+    values = [KeyValue(key=f"key {k}", value="x" * 10_000) for k in range(1000)]
+    name, message = "noisy\n\x1b[2J", "m" * 100_000
+    say(DiagnosticStatus(name=name, level=b"\x07", message=message, values=values))
+    world.wait_for(lambda state: state.nodes, "a report")
+    (report,) = world.state.nodes.values()
+    assert report.level is NodeLevel.STALE and report.name.isprintable()
+    assert len(report.message) < 5000 and len(report.values) == 200
+    assert all(len(text) < 5000 for text in report.values.values())
+    for first in (0, 100, 200):
+        names = [f"node {k}" for k in range(first, first + 99)]
+        say(*(DiagnosticStatus(name=name, level=b"\0") for name in names))
+    say(DiagnosticStatus(name="gravcomp", level=b"\0", message="fine"))
+    world.wait_for(lambda state: "gravcomp" in state.nodes, "the last one")
+    assert len(world.state.nodes) == 100 and "node 0" not in world.state.nodes
+    assert math.isfinite(world.state.nodes["gravcomp"].heard_s)

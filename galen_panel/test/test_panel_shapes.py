@@ -13,14 +13,18 @@ from galen_model.arm.description import read_arm
 from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
 from galen_model.rotation import quaternion_to_matrix
-from galen_panel.page.arm import middle_and_size, parts, place
+from galen_panel.page.arm import FORCE_M_PER_N, middle_and_size, parts, place
 from galen_panel.server import mesh_answer
 from galen_panel.state import shapes
 from galen_panel.state.shapes import draw, mesh_file
 from starlette.requests import Request
 
 SIX_AXIS = (Path(__file__).parents[2] / "galen_bringup/urdf/six_axis.urdf").read_text()
-TIP, WRENCH = np.array([0.0, 0.02, 0.1]), np.array([0.0, 0.0, 9.0, 0.0, 0.0, 0.0])
+TIP, COM = np.array([0.15, 0.0, 0.05]), np.array([0.055, 0.002, 0.045])
+BEND = np.array([2e-2, -1e-2, 3e-2, 1e-2, 2e-2, -1e-2])
+WRENCH = np.array([3.0, -2.0, 1.0, 0.0, 0.0, 0.0])
+JOINTS = np.array([0.03, -0.02, 0.42, 0.7, -0.3])
+SIX_JOINTS = np.array([0.3, -1.2, 1.4, 0.5, -0.7, 2.1])
 TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 COLLADA = """<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1"><asset>
 <unit name="mm" meter="0.001"/><up_axis>Z_UP</up_axis></asset><library_geometries>
@@ -140,22 +144,51 @@ def test_links_without_a_shape_are_lines_from_joint_to_joint():
     assert draw(GALEN).links == ((),) * 6, "the Galen keeps its picture"
 
 
-def test_the_bent_links_end_at_the_displaced_tip_and_the_base_does_not_bend():
-    arm = read_arm(SIX_AXIS)
-    drawing, joints = draw(arm), np.array([0.3, -1.2, 1.4, 0.5, -0.7, 2.1])
-    bend = np.array([2e-2, -1e-2, 3e-2, 1e-2, 2e-2, -1e-2])
-    placed = place(drawing, joints, TIP, None, bend, WRENCH)
+@pytest.mark.parametrize(
+    ("arm", "joints"),
+    [(GALEN, JOINTS), (read_arm(SIX_AXIS), SIX_JOINTS)],
+    ids=["galen", "six_axis"],
+)
+def test_the_arm_ends_at_the_tip_and_the_bent_one_at_the_displaced_tip(arm, joints):
+    placed = place(draw(arm), joints, TIP, COM, BEND, WRENCH)
+    assert {part["name"] for part in parts(draw(arm))} == set(placed)
+    assert json.loads(json.dumps([parts(draw(arm)), placed]))
+    rotation, sensor = arm.sensor_pose(joints)
     _, tip = arm.tip_pose(joints, TIP)
-    np.testing.assert_allclose(ends(placed["bent/7"])[1], tip + bend[:3], atol=2e-5)
-    np.testing.assert_allclose(placed["force"][:3], tip + bend[:3], atol=2e-5)
+    last = len(arm.joints) + 1
+    np.testing.assert_allclose(ends(placed[f"straight/{last}"]), [sensor, tip], atol=2e-5)
+    np.testing.assert_allclose(ends(placed[f"bent/{last}"])[1], tip + BEND[:3], atol=2e-5)
+    np.testing.assert_allclose(placed["com"][:3], sensor + rotation @ COM, atol=2e-5)
+    force, arrow = rotation @ WRENCH[:3], placed["force"]
+    size = np.linalg.norm(force)
+    np.testing.assert_allclose(arrow[:3], tip + BEND[:3], atol=2e-5)
+    np.testing.assert_allclose(quaternion_to_matrix(arrow[3:7])[:, 2], force / size, atol=1e-4)
+    assert arrow[7] == pytest.approx(FORCE_M_PER_N * size, abs=1e-4)
+
+
+def test_the_galens_pieces_make_a_chain_from_its_base():
+    placed = place(draw(GALEN), JOINTS, TIP, COM, BEND, WRENCH)
+    np.testing.assert_allclose(ends(placed["straight/0"])[0], 0.0, atol=2e-5)
+    for piece in range(6):
+        before, after = ends(placed[f"straight/{piece}"]), ends(placed[f"straight/{piece + 1}"])
+        np.testing.assert_allclose(before[1], after[0], atol=4e-5)
+
+
+def test_the_base_does_not_bend_and_what_is_further_out_bends_more():
+    placed = place(draw(read_arm(SIX_AXIS)), SIX_JOINTS, TIP, None, BEND, WRENCH)
     assert placed["bent/0"] is None and placed["straight/0"] is not None
     moved = [
         np.linalg.norm(np.subtract(placed[f"bent/{k}"][:3], placed[f"straight/{k}"][:3]))
         for k in range(1, 7)
     ]
     assert moved[0] < 0.3 * moved[-1] and max(moved) < 0.06
-    assert {part["name"] for part in parts(drawing)} == set(placed)
-    assert json.loads(json.dumps([parts(drawing), placed]))
+
+
+def test_what_is_not_known_is_not_drawn():
+    placed = place(draw(GALEN), GALEN.home, np.zeros(3), None, None, 0.01 * WRENCH)
+    assert placed["force"] is None and placed["com"] is None
+    assert {value for name, value in placed.items() if name.startswith("bent/")} == {None}
+    assert placed["straight/6"] is None, "no tool"
 
 
 def test_the_camera_sees_all_that_an_arm_can_reach():

@@ -10,10 +10,9 @@ from galen_common.parameters import param
 from galen_model.errors import GalenError
 from galen_ros.node.diagnostics import OK, Level, Status
 from galen_ros.node.managed_node import ManagedNode
-from galen_ros.node.testing import Harness, Lifecycle, parameters
+from galen_ros.node.testing import Lifecycle, parameters
 from lifecycle_msgs.msg import Transition, TransitionEvent
 from lifecycle_msgs.srv import GetAvailableTransitions
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_msgs.msg import String
@@ -104,18 +103,8 @@ class World:
         return names & {"/words", "/other", "/said", "~/ask"}
 
 
-@pytest.fixture(params=["events", "single_threaded"])
-def harness(request):
-    if request.param == "events":
-        world = Harness()
-    else:
-        world = Harness(lambda context: SingleThreadedExecutor(context=context))
-    with world:
-        yield world
-
-
-def test_it_starts_active_by_itself_and_walks_through_its_states(harness):
-    world = World(harness)
+def test_it_starts_active_by_itself_and_walks_through_its_states(any_harness):
+    world, harness = World(any_harness), any_harness
     assert world.state == "active" and world.own() == {"/words", "/said", "~/ask"}
     assert world.go("deactivate") and world.state == "inactive"
     assert world.own() == {"/words", "~/ask"} and world.node.undone == ["deactivate"]
@@ -148,8 +137,8 @@ def test_told_not_to_it_waits_unconfigured_and_says_so(harness):
     assert world.go("configure", "activate") and world.state == "active"
 
 
-def test_what_still_waits_in_the_executor_reaches_nobody(harness):
-    world = World(harness)
+def test_what_still_waits_in_the_executor_reaches_nobody(any_harness):
+    world, harness = World(any_harness), any_harness
     publisher = world.probe.create_publisher(String, "said", 10)
     ask = world.probe.create_client(Trigger, "worker/ask")
     harness.wait_for(publisher.get_subscription_count, 20.0, "the subscription")
@@ -168,8 +157,8 @@ def test_what_still_waits_in_the_executor_reaches_nobody(harness):
     assert world.node.heard == []
 
 
-def test_a_destroyed_node_leaves_the_graph(harness):
-    world = World(harness)
+def test_a_destroyed_node_leaves_the_graph(any_harness):
+    world, harness = World(any_harness), any_harness
     harness.remove(world.node)  # which is still referred to here, as any is until it is collected
 
     def gone():
@@ -207,10 +196,7 @@ def test_a_transition_that_the_state_does_not_have_is_rejected(harness, by):
 def test_a_failed_transition_leaves_it_unconfigured_and_ready_to_be_fixed(harness, name):
     world = World(harness, autostart=False, fails_in=name)
     path = ["configure", "activate", "deactivate", "cleanup"]
-    reached = path.index(name)
-    for step in path[:reached]:
-        assert world.go(step)
-    assert not world.go(name)
+    assert world.go(*path[: path.index(name)]) and not world.go(name)
     assert world.state == "unconfigured" and world.own() == set()
     assert "errorprocessing" in world.events
     harness.wait_for(lambda: world.status.get("level") is Level.ERROR, 20.0, "the error")

@@ -12,7 +12,6 @@ from galen_common.goal.procedure import MoveTo
 from galen_model.arm.galen import GALEN
 from galen_ros.goal import arm_link
 from galen_ros.goal.arm_link import ArmPublisher
-from galen_ros.node.testing import Harness
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.context import Context
 from rclpy.node import Node
@@ -72,56 +71,54 @@ class Controller(Node):
         return result
 
 
-@needs_action
-def test_a_motion_goes_to_the_action_and_its_refusals_are_told():
-    with Harness() as harness:
-        controller = harness.add(lambda context: Controller(context=context))
-        node = harness.add(lambda context: Node("mover", context=context, cli_args=REMAP))
-        failed: list[str] = []
-        arm = harness.call_in_executor(lambda: ArmPublisher(node, GALEN, failed.append))
-        harness.wait_for(lambda: arm.has_listener, 10.0, "the controller")
-        move = MoveTo(GALEN.home + 0.01, 1.5)
-
-        def go(answer: str) -> None:
-            controller.answer = answer
-            count = len(controller.goals)
-            harness.call_in_executor(lambda: arm.move(move))
-            harness.wait_for(lambda: len(controller.goals) > count, 10.0, "the goal")
-
-        go("accept")
-        trajectory = controller.goals[-1].trajectory
-        assert tuple(trajectory.joint_names) == GALEN.joint_names
-        np.testing.assert_allclose(trajectory.points[0].positions, move.joints)
-        go("reject")
-        harness.wait_for(lambda: "rejected the motion" in str(failed), 10.0, "the rejection")
-        go("abort")
-        harness.wait_for(lambda: "left its path" in str(failed), 10.0, "the abort")
-        assert len(failed) == 2
-        harness.wait_for(lambda: arm._motion is None, 10.0, "the end of the aborted motion")
-        go("hold")
-        harness.wait_for(lambda: arm._motion is not None, 10.0, "the motion to begin")
-        harness.call_in_executor(arm.stop)
-        harness.wait_for(controller.hold.done, 10.0, "the motion to be canceled")
-        assert len(failed) == 2
-
-
 @pytest.fixture
-def by_topic(monkeypatch):
-    """A mover without the action, and what comes on its topic."""
-    monkeypatch.setattr(arm_link, "FollowJointTrajectory", None)
-    with Harness() as harness:
-        heard = []
-        probe = harness.add(lambda context: Node("probe", context=context))
-        probe.create_subscription(JointTrajectory, "joint_trajectory", heard.append, 10)
-        node = harness.add(lambda context: Node("mover", context=context))
-        arm = harness.call_in_executor(lambda: ArmPublisher(node, GALEN, [].append))
-        harness.wait_for(lambda: arm.has_listener, 10.0, "the listener")
-        yield harness, arm, heard
+def by_action(harness):
+    """A controller, and a mover with what failed."""
+    controller = harness.add(lambda context: Controller(context=context))
+    node = harness.add(lambda context: Node("mover", context=context, cli_args=REMAP))
+    failed: list[str] = []
+    arm = harness.call_in_executor(lambda: ArmPublisher(node, GALEN, failed.append))
+    harness.wait_for(lambda: arm._by_action, 10.0, "the controller")
+    return controller, arm, failed
 
 
-def test_a_stop_by_topic_is_a_point_where_the_arm_comes_to_rest(by_topic):
+@needs_action
+def test_a_motion_goes_to_the_action_and_its_refusals_are_told(harness, by_action):
+    controller, arm, failed = by_action
+    move = MoveTo(GALEN.home + 0.01, 1.5)
+
+    def go(answer: str) -> None:
+        controller.answer = answer
+        count = len(controller.goals)
+        harness.call_in_executor(lambda: arm.move(move))
+        harness.wait_for(lambda: len(controller.goals) > count, 10.0, "the goal")
+
+    go("accept")
+    trajectory = controller.goals[-1].trajectory
+    assert tuple(trajectory.joint_names) == GALEN.joint_names
+    np.testing.assert_allclose(trajectory.points[0].positions, move.joints)
+    go("reject")
+    harness.wait_for(lambda: "rejected the motion" in str(failed), 10.0, "the rejection")
+    go("abort")
+    harness.wait_for(lambda: "left its path" in str(failed), 10.0, "the abort")
+    assert len(failed) == 2
+    harness.wait_for(lambda: arm._motion is None, 10.0, "the end of the aborted motion")
+    go("hold")
+    harness.wait_for(lambda: arm._motion is not None, 10.0, "the motion to begin")
+    harness.call_in_executor(arm.stop)
+    harness.wait_for(controller.hold.done, 10.0, "the motion to be canceled")
+    assert len(failed) == 2
+
+
+def test_a_stop_by_topic_is_a_point_where_the_arm_comes_to_rest(harness, monkeypatch):
     """A joint_trajectory_controller rejects a trajectory without points, and would go on."""
-    harness, arm, heard = by_topic
+    monkeypatch.setattr(arm_link, "FollowJointTrajectory", None)
+    heard = []
+    probe = harness.add(lambda context: Node("probe", context=context))
+    probe.create_subscription(JointTrajectory, "joint_trajectory", heard.append, 10)
+    node = harness.add(lambda context: Node("mover", context=context))
+    arm = harness.call_in_executor(lambda: ArmPublisher(node, GALEN, [].append))
+    harness.wait_for(lambda: arm.has_listener, 10.0, "the listener")
     harness.call_in_executor(lambda: arm.move(MoveTo(GALEN.home + 0.01, 1.5)))
     harness.call_in_executor(lambda: arm.stop(REST))
     harness.wait_for(lambda: len(heard) == 3, 10.0, "the stop")
@@ -135,21 +132,11 @@ def test_a_stop_by_topic_is_a_point_where_the_arm_comes_to_rest(by_topic):
     assert not heard[3].points
 
 
-@pytest.fixture
-def by_action():
-    """A harness, a controller, and a mover with what failed."""
-    with Harness() as harness:
-        controller = harness.add(lambda context: Controller(context=context))
-        node = harness.add(lambda context: Node("mover", context=context, cli_args=REMAP))
-        failed: list[str] = []
-        arm = harness.call_in_executor(lambda: ArmPublisher(node, GALEN, failed.append))
-        harness.wait_for(lambda: arm._by_action, 10.0, "the controller")
-        yield harness, controller, node, arm, failed
-
-
 @needs_action
-def test_a_motion_sent_by_topic_is_stopped_by_topic_though_the_action_came_later(by_action):
-    harness, controller, _, arm, _ = by_action
+def test_a_motion_sent_by_topic_is_stopped_by_topic_though_the_action_came_later(
+    harness, by_action
+):
+    controller, arm, _ = by_action
     action, arm._action = arm._action, None
     harness.call_in_executor(lambda: arm.move(MoveTo(GALEN.home + 0.01, 1.5)))
     arm._action = action
@@ -159,8 +146,8 @@ def test_a_motion_sent_by_topic_is_stopped_by_topic_though_the_action_came_later
 
 
 @needs_action
-def test_a_motion_that_another_client_canceled_ends_the_goal(by_action):
-    harness, controller, _, arm, failed = by_action
+def test_a_motion_that_another_client_canceled_ends_the_goal(harness, by_action):
+    controller, arm, failed = by_action
     controller.answer = "hold"
     harness.call_in_executor(lambda: arm.move(MoveTo(GALEN.home + 0.01, 1.5)))
     harness.wait_for(lambda: arm._motion is not None, 10.0, "the motion to begin")
@@ -179,24 +166,23 @@ def test_a_motion_that_another_client_canceled_ends_the_goal(by_action):
 
 @needs_action
 @pytest.mark.parametrize("answer", ["hold", "hold slowly"])
-def test_a_mover_that_ends_has_its_motion_canceled(answer):
+def test_a_mover_that_ends_has_its_motion_canceled(harness, answer):
     """The second has its goal accepted only after the stop."""
-    with Harness() as harness:
-        controller = harness.add(lambda context: Controller(context=context))
-        controller.answer = answer
-        context = Context()
-        rclpy.init(context=context, domain_id=harness.domain_id)
-        node = Node("mover", context=context, cli_args=REMAP)
-        arm = ArmPublisher(node, GALEN, [].append)
-        cancel = "/controller/follow_joint_trajectory/_action/cancel_goal"
-        harness.wait_for(lambda: arm._by_action, 10.0, "the controller")
-        harness.wait_for(lambda: controller.count_clients(cancel), 10.0, "the mover")
-        arm.move(MoveTo(GALEN.home + 0.01, 1.5))
-        arm.stop_and_wait()
-        assert not arm._unanswered
-        node.destroy_node()
-        try_shutdown(context=context)
-        harness.wait_for(controller.hold.done, 5.0, "the motion to be canceled")
+    controller = harness.add(lambda context: Controller(context=context))
+    controller.answer = answer
+    context = Context()
+    rclpy.init(context=context, domain_id=harness.domain_id)
+    node = Node("mover", context=context, cli_args=REMAP)
+    arm = ArmPublisher(node, GALEN, [].append)
+    cancel = "/controller/follow_joint_trajectory/_action/cancel_goal"
+    harness.wait_for(lambda: arm._by_action, 10.0, "the controller")
+    harness.wait_for(lambda: controller.count_clients(cancel), 10.0, "the mover")
+    arm.move(MoveTo(GALEN.home + 0.01, 1.5))
+    arm.stop_and_wait()
+    assert not arm._unanswered
+    node.destroy_node()
+    try_shutdown(context=context)
+    harness.wait_for(controller.hold.done, 5.0, "the motion to be canceled")
 
 
 def test_braking_comes_to_rest_ahead_within_the_limits_of_acceleration():

@@ -4,41 +4,37 @@
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from galen_ros.node.diagnostics import OK, WARN, DiagnosticsPublisher, Status
-from galen_ros.node.spin import make_executor
 from galen_ros.node.testing import Harness
 from galen_ros.rclpy_workarounds import DeferredService
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
 
-@pytest.fixture(
-    params=[make_executor, lambda context: SingleThreadedExecutor(context=context)],
-    ids=["default", "single_threaded"],
-)
-def harness(request):
-    with Harness(request.param) as world:
-        yield world
-
-
-def test_diagnostics_come_by_period_and_on_change(harness):
-    state = {"status": Status(OK, "fine", {"rate_hz": 500.0, "on": True, "tool": "pointer"})}
-    node = harness.add(lambda context: Node("talker", namespace="/left", context=context))
+def talk(harness, report, **options):
+    """Publish diagnostics of a node; return its publisher and what a probe receives."""
+    node = harness.add(
+        lambda context: Node("talker", namespace="/left", context=context, **options)
+    )
     probe = harness.add(lambda context: Node("probe", context=context))
     received = []
     probe.create_subscription(DiagnosticArray, "/diagnostics", received.append, 10)
-    publisher = DiagnosticsPublisher(node, "arm", lambda: state["status"], period_s=0.05)
+    return DiagnosticsPublisher(node, "arm", report, period_s=0.05), received
+
+
+def values_of(status):
+    return {item.key: item.value for item in status.values}
+
+
+def test_diagnostics_come_by_period_and_on_change(any_harness):
+    harness = any_harness
+    state = {"status": Status(OK, "fine", {"rate_hz": 500.0, "on": True, "tool": "pointer"})}
+    publisher, received = talk(harness, lambda: state["status"])
     harness.wait_for(lambda: len(received) >= 3, 10.0, "three diagnostics")
     status = received[-1].status[0]
-    assert (status.level, status.name, status.message) == (
-        DiagnosticStatus.OK,
-        "left/talker",
-        "fine",
-    )
-    assert status.hardware_id == "arm"
-    values = {item.key: item.value for item in status.values}
-    assert values == {"rate_hz": "500", "on": "true", "tool": "pointer"}
+    assert (status.level, status.name) == (DiagnosticStatus.OK, "left/talker")
+    assert (status.message, status.hardware_id) == ("fine", "arm")
+    assert values_of(status) == {"rate_hz": "500", "on": "true", "tool": "pointer"}
 
     state["status"] = Status(WARN, "no tool")
     harness.call_in_executor(publisher.publish_now)
@@ -51,25 +47,17 @@ def test_diagnostics_come_by_period_and_on_change(harness):
 
 
 def test_time_that_stands_still_is_told_with_a_value(harness):
-    node = harness.add(
-        lambda context: Node(
-            "talker",
-            context=context,
-            parameter_overrides=[Parameter("use_sim_time", value=True)],
-        )
-    )
-    probe = harness.add(lambda context: Node("probe", context=context))
-    received = []
-    probe.create_subscription(DiagnosticArray, "/diagnostics", received.append, 10)
-    DiagnosticsPublisher(node, "arm", lambda: Status(OK, "fine", {"on": True}), period_s=0.05)
+    clock = [Parameter("use_sim_time", value=True)]
+    report = Status(OK, "fine", {"on": True})
+    _, received = talk(harness, lambda: report, parameter_overrides=clock)
     harness.wait_for(lambda: received, 10.0, "diagnostics")
     status = received[-1].status[0]
     assert status.level == DiagnosticStatus.WARN and "no /clock came" in status.message
-    values = {item.key: item.value for item in status.values}
-    assert values == {"clock": "stands still", "on": "true"}
+    assert values_of(status) == {"clock": "stands still", "on": "true"}
 
 
-def test_a_deferred_answer_waits_for_its_event_and_blocks_nothing(harness):
+def test_a_deferred_answer_waits_for_its_event_and_blocks_nothing(any_harness):
+    harness = any_harness
     waiting = []
 
     def on_request(_request, response, respond):
@@ -77,10 +65,8 @@ def test_a_deferred_answer_waits_for_its_event_and_blocks_nothing(harness):
 
     node = harness.add(lambda context: Node("server", context=context))
     DeferredService(node, Trigger, "later", on_request)
-    at_once = []
 
     def on_now(_request, response):
-        at_once.append(len(waiting))
         response.success = True
         return response
 
