@@ -43,6 +43,7 @@ LINES = (
     ("no valid answer", "", "failed"),
 )
 _SHARES = ("top1_by_class", "top1_by_class_accepted", "relative_error")
+_NOTHING = "–"
 _MOST = 12
 """Confusions and bad answers that are named."""
 
@@ -105,7 +106,8 @@ def _main(scores: Mapping[str, Score]) -> str:
         [what, goal, *(_cell(one.values[key], key in _SHARES) for one in scores.values())]
         for what, goal, key in LINES
     ]
-    return _table(["", "goal", *scores], rows)
+    shown = [row for row in rows if set(row[2:]) != {_NOTHING}]
+    return _table(["", "goal", *scores], shown)
 
 
 def _table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -118,7 +120,7 @@ def _table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 def _cell(value: Rate | float | None, share: bool) -> str:
     if value is None or (isinstance(value, Rate) and not value.of):
-        return "–"
+        return _NOTHING
     if not isinstance(value, Rate):
         return f"{100 * value:.1f} %" if share else f"{value:.3f}"
     assert value.value is not None and value.interval is not None
