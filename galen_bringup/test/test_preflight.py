@@ -254,7 +254,7 @@ def test_the_command_passes_a_robot_by_its_own_description(
         assert found["ok"] is True and '"what": "load"' in text and f'"{FIX}"' not in text
         assert "six_axis: 6 joints from base_link to ft_sensor" in text
         assert "use_robot_description:=true" in text and "/joint_trajectory" in text
-        assert main(["--seconds", "1", "--urdf", str(URDF), "--sensor-frame", "wrist"]) == 1
+        assert main(["--seconds", "2.5", "--urdf", str(URDF), "--sensor-frame", "wrist"]) == 1
         out = capfd.readouterr().out
         assert "'wrist'" in out and "1 to fix" in out  # a long path may break the line anywhere
         without_clock = ("--ros-args", "-p", "use_sim_time:=true")
@@ -262,7 +262,7 @@ def test_the_command_passes_a_robot_by_its_own_description(
             (("--urdf", "nowhere.urdf"), "arm", "name an existing file: --urdf FILE"),
             (without_clock, "time", "start what publishes /clock"),
         ):
-            assert main(["--seconds", "1", "--json", *words]) == 1
+            assert main(["--seconds", "2.5", "--json", *words]) == 1
             checks = json.loads(capfd.readouterr().out)["checks"]
             (fix,) = (check for check in checks if check["state"] == FIX)
             assert fix["what"] == what and remedy in fix["remedy"]

@@ -35,7 +35,7 @@ def rows_of(samples):
     return list(zip(samples.stamps_ns.tolist(), samples.values.tolist(), strict=True))
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(10))
 def test_it_keeps_what_a_row_by_row_reference_keeps(seed):
     rng = np.random.default_rng(seed)
     series, reference = StreamSeries(2, rows=50, seconds=1.5), Reference(50, 1.5)
