@@ -107,6 +107,7 @@ def test_an_item_is_within_beyond_or_undecided():
     assert BudgetItem("bias_step", share).standing is None
     two = replace(limited, parameters={"gain": [share] * 2}, limits={"gain": [0.5, 0.6]}).to_json()
     assert [one["limit"] for one in two["parameters"]["gain"]] == [0.5, 0.6]
+    assert Interval(0.5, None, None).to_json() == {"value": 0.5, "ci95": None}
     assert BudgetItem(RESIDUAL, share).to_json() == {
         "effect": RESIDUAL, "share": {"value": 0.5, "ci95": [0.4, 0.6]},
     }  # fmt: skip

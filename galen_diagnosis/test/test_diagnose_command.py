@@ -129,7 +129,10 @@ def test_what_fails_half_way_leaves_nothing(recordings, monkeypatch, capsys):
     assert json.loads(Path("o/diagnosis.json").read_text())["verdict"] == "none"
 
 
-def test_the_answers_of_many_recordings_are_printed_as_json(recordings, capsys):
+def test_of_many_recordings_the_good_ones_are_diagnosed_and_printed(recordings, capsys):
+    names = ("none_1", "broken", "unknown", "--no-report", "--output", "all", "--workers", "1")
+    assert run(*names) == 1
+    assert "failed: broken: no directory" in capsys.readouterr().out
     assert run("none_2", "unknown_2", "--no-report", "--workers", "1", "--json") == 0
     rows = json.loads(capsys.readouterr().out)["recordings"]
     assert [row["verdict"] for row in rows] == ["none", "unknown"]

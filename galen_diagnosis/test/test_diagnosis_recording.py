@@ -114,6 +114,12 @@ def test_a_broken_tools_file_and_a_bag_that_is_none_are_named(made, tmp_path, fi
         read_recording(tmp_path / "copy")
 
 
+def test_bags_that_overlap_in_time_are_a_problem(made, tmp_path):
+    folder = shutil.copytree(made, tmp_path / "copy")
+    shutil.copytree(folder / "sweep", folder / "motion")
+    assert "weren't recorded one after the other" in read_recording(folder).problems[0]
+
+
 def test_samples_that_say_nothing_are_left_out_and_counted(tmp_path):
     one = arm(tmp_path)
     one.wrenches[3, 2] = np.nan

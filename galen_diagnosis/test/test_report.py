@@ -7,6 +7,7 @@ import re
 from dataclasses import replace
 from html.parser import HTMLParser
 
+import numpy as np
 import pytest
 import yaml
 from diagnosis_example import example_answer, example_diagnosis
@@ -23,6 +24,7 @@ from galen_diagnosis.report.words import (
     missed_words,
     next_steps,
     parameter_words,
+    plain,
     probability_words,
     sentence,
     title,
@@ -224,6 +226,10 @@ def test_every_effect_has_a_sentence_with_all_its_numbers(name):
 )  # fmt: skip
 def test_parameters_in_units_that_people_read(effect, parameters, expected):
     assert cause_words(FoundCause(effect, 1.0, parameters, (), None, joint="tilt")) == expected
+
+
+def test_a_number_without_an_uncertainty_has_three_digits_and_zero_has_no_sign():
+    assert (plain(0.5, 0.0), plain(-1e-4, 0.01), plain(np.nan, 0.1)) == ("0.5", "0.000", "?")
 
 
 def test_sentences_of_the_verdicts():

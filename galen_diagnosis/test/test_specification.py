@@ -2,15 +2,17 @@
 """Limits of a specification: read with checks, and what lies within is no cause."""
 
 import json
+from types import SimpleNamespace
 
 import pytest
 from galen_diagnosis.diagnose import main
+from galen_diagnosis.effects.forms import _zero_rad
 from galen_diagnosis.observation.specification import presets, specification_of
 from galen_diagnosis.simulated_recording import make_recording
 from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
 from galen_sim_driver.effects.joints import JointZeroOffset
-from galen_sim_driver.effects.registry import limit_parts
+from galen_sim_driver.effects.registry import LIMITED, limit_parts
 from galen_sim_driver.effects.sensor import AxisGain
 
 LIMITS = {
@@ -106,6 +108,19 @@ def recording(tmp_path_factory):
     folder = tmp_path_factory.mktemp("specification") / "made"
     make_recording(folder, ORDINARY, seed=4, bags=("sweep",), arm=GALEN)
     return folder
+
+
+def test_where_the_tip_is_is_known_as_well_as_the_joints_zeros():
+    """Rads; since a reference limits are a twentieth, but not of an arm's constant geometry."""
+
+    def known_to(limits):
+        recording = SimpleNamespace(arm=GALEN, specification=limits)
+        return _zero_rad(SimpleNamespace(recording=recording))
+
+    known = dict.fromkeys(LIMITED)
+    tight, usual = (specification_of([name], known) for name in ("galen", "default"))
+    assert known_to(usual) == usual.limit("joint_zero_offset") / 2.0
+    assert known_to(tight) == known_to(tight.scaled(0.05, "")) == pytest.approx(1e-4)
 
 
 @pytest.mark.slow

@@ -289,6 +289,15 @@ def test_channels_that_are_predicted_exactly_are_compared_too():
     np.testing.assert_array_less(off, 3.5 * coarse.com_std_m)
 
 
+def test_gross_outliers_are_rejected():
+    made, hit = simulate(np.random.default_rng(8), GALEN, ()), [3, 9, 16]
+    wrench = made.wrench.copy()
+    wrench[hit] += [2.0, -3.0, 2.0, 0.05, 0.05, -0.05]
+    chosen = choose_load(made.gravity, wrench, made.time_s, arm=GALEN)
+    assert np.flatnonzero(~chosen.single.used).tolist() == hit
+    assert PLAIN not in chosen.names
+
+
 def test_a_comparison_can_be_ended():
     def ended(_):
         raise InterruptedError

@@ -150,6 +150,12 @@ def test_the_jacobian_is_that_of_finite_differences(size, arm):
         np.testing.assert_allclose(jacobian[:, :, column], slope, atol=2e-8)
 
 
+def test_a_sensor_that_is_turned_by_a_right_angle_is_no_small_rotation():
+    made = sweeps(mounting(size=90.0, only=["sensor_rotation"]), poses=sweep_grid(4, 5))
+    with pytest.raises(IdentificationError, match="the fit does not settle"):
+        identify_two_sweeps(*made, groups=["sensor_rotation", "gain_ratio"])
+
+
 def test_four_twins_and_no_others():
     """The null space of all parameters at once, over a sweep without and one with the tool."""
     model = two_sweeps_model(ALL)

@@ -176,8 +176,9 @@ def test_stamps_that_are_apart_are_named(late_s):
     assert told == pytest.approx(abs(late_s), abs=0.01)
 
 
-def test_axes_without_signal_are_named():
+def test_axes_without_signal_are_named_and_too_few_poses_tell_nothing():
     angles, wrench = sweep(SIX_AXES)
+    assert check_at(SIX_AXES, angles[:2], -wrench[:2]) is None
     wrench[:, :2] = 0.0
     found = check_at(SIX_AXES, angles, wrench)
     assert "fx, fy hardly change" in found.sentence
