@@ -138,6 +138,8 @@ def make(arguments: argparse.Namespace, folder: Path, generate: Generate = gener
 
     """
     check_parent(folder)
+    if arguments.short and arguments.tables:
+        raise GalenError("--tables beside --short, which has six recordings: leave out one of them")
     wanted = {name: getattr(arguments, name) for name in ("per_class", "healthy", "short")}
     published = blind_protocol.make(
         folder, wanted, arguments.seed, arguments.workers, generate, arguments.tables

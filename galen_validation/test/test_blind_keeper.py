@@ -166,6 +166,12 @@ def test_plans():
     assert {c.kind for c in short_plan(1).values()} == {"none", "single", "pair", "unknown"}
 
 
+def test_a_short_set_has_no_tables(tmp_path):
+    with pytest.raises(GalenError, match="--tables beside --short"):
+        run(tmp_path / "set", "--short", "--tables", "sensor.csv")
+    assert not (tmp_path / "set").exists()
+
+
 def test_changed_labels_do_not_open(tmp_path):
     make(tmp_path / "set", SHORT, 4, 1, fake_generate)
     path = tmp_path / "set.labels" / "labels.json"
