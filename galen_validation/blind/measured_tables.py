@@ -28,10 +28,11 @@ from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.files.atomic_file import write_whole
 from galen_model.load.identification import plain_least_squares
-from galen_model.load.model import Load, gravity_regressor
+from galen_model.load.model import gravity_regressor
 from scipy.spatial.transform import Rotation
 
 from galen_validation.blind.baselines import simple_answers
+from galen_validation.blind.session import any_direction
 
 TABLE, EARLIER = "table.csv", "reference.csv"
 """Of a pair's folder."""
@@ -50,13 +51,13 @@ class _Later:
     """Readings that get an effect: their load's wrench W (n, 6), its mass, sigma (6,)."""
 
     wrench: Array
-    load: Load
+    mass_kg: float
     sigma: Array
 
     @property
     def weight(self) -> float:
         """The load's, N."""
-        return self.load.mass_kg * STANDARD_GRAVITY_M_S2
+        return self.mass_kg * STANDARD_GRAVITY_M_S2
 
     def whitened(self, change: Array) -> Array:
         """Return a change (n, 6, ...), less its mean, in units of the noise: (6 n, ...)."""
@@ -99,11 +100,6 @@ class _Later:
         return found
 
 
-def _unit(rng: np.random.Generator) -> Array:
-    way = rng.standard_normal(3)
-    return np.asarray(way / np.linalg.norm(way))
-
-
 def _gain(rng: np.random.Generator, later: _Later) -> Any:
     gain = 0.1 * np.eye(6)[rng.integers(3)]
     return lambda s: s * gain * later.wrench, lambda s: {"gain": (s * gain).tolist()}
@@ -117,7 +113,7 @@ def _crosstalk(rng: np.random.Generator, later: _Later) -> Any:
 
 
 def _turned(rng: np.random.Generator, later: _Later) -> Any:
-    axis = 0.1 * _unit(rng)
+    axis = 0.1 * any_direction(rng)
 
     def change(share: float) -> Array:
         turn = Rotation.from_rotvec(share * axis).as_matrix()
@@ -137,14 +133,14 @@ def _square(rng: np.random.Generator, later: _Later) -> Any:
 
 def _step(rng: np.random.Generator, later: _Later) -> Any:
     first = int(rng.uniform(0.3, 0.7) * len(later.wrench))
-    torque = later.weight * 0.003 * _unit(rng)
-    step = np.concatenate([0.1 * later.weight * _unit(rng), torque])
+    torque = later.weight * 0.003 * any_direction(rng)
+    step = np.concatenate([0.1 * later.weight * any_direction(rng), torque])
     change = (np.arange(len(later.wrench)) >= first)[:, None] * step
     return lambda s: s * change, lambda s: {"step": (s * step).tolist()}
 
 
 def _centre(rng: np.random.Generator, later: _Later) -> Any:
-    delta_m = 0.01 * _unit(rng)
+    delta_m = 0.01 * any_direction(rng)
     force = later.wrench[:, :3]
     change = np.concatenate([np.zeros_like(force), np.cross(delta_m, force)], axis=1)
     return lambda s: s * change, lambda s: {"delta_m": (s * delta_m).tolist()}
@@ -152,7 +148,7 @@ def _centre(rng: np.random.Generator, later: _Later) -> Any:
 
 def _mass(_: np.random.Generator, later: _Later) -> Any:
     change = 0.1 * later.wrench
-    return lambda s: s * change, lambda s: {"delta_kg": 0.1 * s * later.load.mass_kg}
+    return lambda s: s * change, lambda s: {"delta_kg": 0.1 * s * later.mass_kg}
 
 
 DRAWN: Mapping[str, Draw] = {
@@ -267,5 +263,5 @@ def _later(fitted: OrientationTable, gravity: Array) -> _Later:
     """Return the load of a table under other directions of gravity (m, 3)."""
     moments, offset = plain_least_squares(fitted.gravity, fitted.wrench)
     rest = fitted.wrench - gravity_regressor(fitted.gravity) @ moments - offset
-    load = Load(float(moments[0]), moments[1:] / moments[0])
-    return _Later(gravity_regressor(gravity) @ moments, load, np.std(rest, axis=0))
+    wrench = gravity_regressor(gravity) @ moments
+    return _Later(wrench, float(moments[0]), np.std(rest, axis=0))
