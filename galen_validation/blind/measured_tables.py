@@ -42,8 +42,9 @@ _LARGEST_D = 40.0
 _FEWEST = 16
 _DRAWS = 20
 
-Draw = Callable[[np.random.Generator, "_Later"], tuple[Callable[[float], Array], Any]]
-"""Returns the change (n, 6) at a share -1 ... 1 of the largest size, and its true parameters."""
+Sized = Callable[[float], tuple[Array, Mapping[str, Any]]]
+"""Of a share -1 ... 1 of the largest size the change (n, 6) and its true parameters."""
+Draw = Callable[[np.random.Generator, "_Later"], Sized]
 
 
 @dataclass(frozen=True)
@@ -100,55 +101,55 @@ class _Later:
         return found
 
 
-def _gain(rng: np.random.Generator, later: _Later) -> Any:
+def _gain(rng: np.random.Generator, later: _Later) -> Sized:
     gain = 0.1 * np.eye(6)[rng.integers(3)]
-    return lambda s: s * gain * later.wrench, lambda s: {"gain": (s * gain).tolist()}
+    return lambda s: (s * gain * later.wrench, {"gain": (s * gain).tolist()})
 
 
-def _crosstalk(rng: np.random.Generator, later: _Later) -> Any:
+def _crosstalk(rng: np.random.Generator, later: _Later) -> Sized:
     a, b = (int(axis) for axis in rng.permutation(3)[:2])
     names = {"from": WRENCH_AXES[a], "to": WRENCH_AXES[b]}
     change = 0.1 * later.wrench[:, [a]] * np.eye(6)[b]
-    return lambda s: s * change, lambda s: {**names, "coefficient": 0.1 * s}
+    return lambda s: (s * change, {**names, "coefficient": 0.1 * s})
 
 
-def _turned(rng: np.random.Generator, later: _Later) -> Any:
+def _turned(rng: np.random.Generator, later: _Later) -> Sized:
     axis = 0.1 * any_direction(rng)
 
-    def change(share: float) -> Array:
+    def sized(share: float) -> tuple[Array, Mapping[str, Any]]:
         turn = Rotation.from_rotvec(share * axis).as_matrix()
         parts = later.wrench.reshape(-1, 2, 3)
-        return np.asarray((parts @ turn).reshape(-1, 6) - later.wrench)
+        change = (parts @ turn).reshape(-1, 6) - later.wrench
+        return change, {"rotvec_rad": (share * axis).tolist()}
 
-    return change, lambda s: {"rotvec_rad": (s * axis).tolist()}
+    return sized
 
 
-def _square(rng: np.random.Generator, later: _Later) -> Any:
+def _square(rng: np.random.Generator, later: _Later) -> Sized:
     k = int(rng.integers(3))
     coefficient = 0.1 / later.weight
     change = coefficient * later.wrench[:, [k]] ** 2 * np.eye(6)[k]
-    truth = lambda s: {"axis": WRENCH_AXES[k], "coefficient": s * coefficient}  # noqa: E731
-    return lambda s: s * change, truth
+    return lambda s: (s * change, {"axis": WRENCH_AXES[k], "coefficient": s * coefficient})
 
 
-def _step(rng: np.random.Generator, later: _Later) -> Any:
+def _step(rng: np.random.Generator, later: _Later) -> Sized:
     first = int(rng.uniform(0.3, 0.7) * len(later.wrench))
     torque = later.weight * 0.003 * any_direction(rng)
     step = np.concatenate([0.1 * later.weight * any_direction(rng), torque])
     change = (np.arange(len(later.wrench)) >= first)[:, None] * step
-    return lambda s: s * change, lambda s: {"step": (s * step).tolist()}
+    return lambda s: (s * change, {"step": (s * step).tolist()})
 
 
-def _centre(rng: np.random.Generator, later: _Later) -> Any:
+def _centre(rng: np.random.Generator, later: _Later) -> Sized:
     delta_m = 0.01 * any_direction(rng)
     force = later.wrench[:, :3]
     change = np.concatenate([np.zeros_like(force), np.cross(delta_m, force)], axis=1)
-    return lambda s: s * change, lambda s: {"delta_m": (s * delta_m).tolist()}
+    return lambda s: (s * change, {"delta_m": (s * delta_m).tolist()})
 
 
-def _mass(_: np.random.Generator, later: _Later) -> Any:
+def _mass(_: np.random.Generator, later: _Later) -> Sized:
     change = 0.1 * later.wrench
-    return lambda s: s * change, lambda s: {"delta_kg": 0.1 * s * later.mass_kg}
+    return lambda s: (s * change, {"delta_kg": 0.1 * s * later.mass_kg})
 
 
 DRAWN: Mapping[str, Draw] = {
@@ -220,24 +221,26 @@ def pair_of(path: Path, seed: int, effect: str | None, tellable: float) -> Pair:
         raise GalenError(f"{path}: {len(table)} readings; a pair needs at least {_FEWEST}")
     rng = np.random.default_rng(seed)
     first = int(rng.integers(2))
-    rows = np.arange(len(table))
-    later_rows, earlier_rows = rows[first::2], rows[1 - first :: 2]
+    numbers = np.arange(len(table))
+    later_rows, earlier_rows = numbers[first::2], numbers[1 - first :: 2]
     measured = table.wrench[later_rows]
     if effect is None:
         return Pair(table, earlier_rows, later_rows, measured)
     later = _later(table, table.gravity[later_rows])
     wanted = CLEAR * (_LARGEST_D / CLEAR) ** rng.random()
     for _ in range(_DRAWS):
-        change, truth = DRAWN[effect](rng, later)
-        share = wanted / float(np.linalg.norm(later.whitened(change(1.0))))
+        sized = DRAWN[effect](rng, later)
+        share = wanted / float(np.linalg.norm(later.whitened(sized(1.0)[0])))
         if share <= 1.0:
             break
     share = min(share, 1.0) * float(rng.choice([-1.0, 1.0]))
-    d = float(np.linalg.norm(later.whitened(change(share))))
-    rests = later.fits(later.whitened(change(share)))
+    change, parameters = sized(share)
+    rows = later.whitened(change)
+    d = float(np.linalg.norm(rows))
+    rests = later.fits(rows)
     others = [n for n, (rest, _) in rests.items() if rest < tellable**2 and n != effect]
     same = (effect, *others, *(["none"] if d < tellable else []))
-    return Pair(table, earlier_rows, later_rows, measured + change(share), truth(share), d, same)
+    return Pair(table, earlier_rows, later_rows, measured + change, parameters, d, same)
 
 
 def simple_table_answers(folder: Path) -> dict[str, Any]:
