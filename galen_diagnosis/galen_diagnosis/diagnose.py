@@ -94,9 +94,9 @@ from galen_diagnosis.report.report import (
     to_row,
     write_output,
 )
-from galen_diagnosis.report.words import sentence
 from galen_diagnosis.tables.conclusion import diagnose_blocks
-from galen_diagnosis.tables.rows import prepare_joint, prepare_table
+from galen_diagnosis.tables.joint_runs import prepare_joint
+from galen_diagnosis.tables.orientations import table_recording
 
 Kind = Literal["recording", "table", "joint"]
 EXIT_GAP = 3
@@ -317,8 +317,9 @@ def build_parser(kind: Kind = "recording") -> argparse.ArgumentParser:
             default=(),
             metavar=name,
             help="earlier ones of the same arm and tool, by time: what has changed since is"
-            f" diagnosed (of recordings beyond {DAY_TO_DAY} of the limits)",
+            f" diagnosed, beyond {DAY_TO_DAY} of the limits",
         )
+        _add_specification(parser)
         (_add_table_options if kind == "table" else _add_recording_options)(parser)
     return parser
 
@@ -332,6 +333,18 @@ def _add_recording_options(parser: argparse.ArgumentParser) -> None:
         help="the nominal model has the inertial forces of tool and adapter, by the calibration"
         " file, as gravcomp_node has them with its parameter motion",
     )
+    parser.add_argument(
+        "--next",
+        type=Path,
+        metavar="FILE",
+        help="write the experiment that would separate the causes that are left, as parameters of"
+        " the node that runs it; none where no causes are left to separate (one recording only)",
+    )
+    add_results(parser)
+    add_workers(parser)
+
+
+def _add_specification(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--specification",
         type=_file_or_preset,
@@ -349,15 +362,6 @@ def _add_recording_options(parser: argparse.ArgumentParser) -> None:
         metavar="FILE|PRESET",
         help="print the limits, each with its source, and exit",
     )
-    parser.add_argument(
-        "--next",
-        type=Path,
-        metavar="FILE",
-        help="write the experiment that would separate the causes that are left, as parameters of"
-        " the node that runs it; none where no causes are left to separate (one recording only)",
-    )
-    add_results(parser)
-    add_workers(parser)
 
 
 def _file_or_preset(given: str) -> str | Path:
@@ -558,15 +562,22 @@ def _tables(kind: Kind, arguments: argparse.Namespace, console: Console) -> int:
     answers = []
     for path, folder in folders.items():
         with ProgressLine(quiet=arguments.json) as line:
-            answer = diagnose_blocks(
-                _name(path), *_prepared(kind, path, arguments), progress=line.show
-            )
-        if kind == "table" and arguments.reference:
-            names = tuple(map(_name, arguments.reference))
-            answer = replace(answer, reference=names)
-            answer = replace(answer, sentence=sentence(answer))
-        draw = None if arguments.no_report else _no_pictures
-        write_output(answer, folder, files={}, draw=draw, overwrite=arguments.overwrite)
+            draw: Callable[[Path], Mapping[str, Path]] = _no_pictures
+            if kind == "table":
+                diagnosis = diagnose_recording(
+                    _table(path, arguments),
+                    progress=lambda stage, share: line.show(stage, share, 1.0),
+                )
+                answer, draw = diagnosis.answer, partial(_draw, diagnosis)
+            else:
+                answer = diagnose_blocks(_name(path), *_runs(arguments), progress=line.show)
+        write_output(
+            answer,
+            folder,
+            files={},
+            draw=None if arguments.no_report else draw,
+            overwrite=arguments.overwrite,
+        )
         if not arguments.json:
             _print(answer, folder, console)
         answers.append(answer)
@@ -576,14 +587,14 @@ def _tables(kind: Kind, arguments: argparse.Namespace, console: Console) -> int:
     return _code(arguments, [answer.verdict for answer in answers])
 
 
-def _prepared(
-    kind: Kind, path: Path, arguments: argparse.Namespace
-) -> tuple[BlockRows, Effects, tuple[str, ...]]:
-    if kind == "joint":
-        runs = read_joint_runs(arguments.inputs, joint_columns(arguments))
-        return prepare_joint(
-            runs, whole_runs(runs) if len(runs) >= _RUNS else time_blocks(runs, _BLOCKS)
-        )
+def _runs(arguments: argparse.Namespace) -> tuple[BlockRows, Effects, tuple[str, ...]]:
+    runs = read_joint_runs(arguments.inputs, joint_columns(arguments))
+    return prepare_joint(
+        runs, whole_runs(runs) if len(runs) >= _RUNS else time_blocks(runs, _BLOCKS)
+    )
+
+
+def _table(path: Path, arguments: argparse.Namespace) -> DiagnosticRecording:
     columns = arguments.columns.split(",") if arguments.columns else None
     arm = chosen_arm(arguments)
     table, *references = (
@@ -599,11 +610,14 @@ def _prepared(
     found = check_setup(still_readings(table))
     if found is not None and found.gross and not arguments.no_setup_check:
         raise SetupError(f"{path}: {found.sentence}; --no-setup-check diagnoses it all the same")
-    return prepare_table(
+    return table_recording(
         table,
         noise=None if arguments.noise is None else _noise(arguments.noise),
         tool=None if arguments.tool is None else read_calibration(arguments.tool, arm),
         references=references,
+        specification=specification_of(
+            arguments.specification or [DEFAULT], dict.fromkeys(LIMITED)
+        ),
     )
 
 

@@ -9,15 +9,13 @@ import numpy as np
 import pytest
 from galen_bags.arrays.tables import OrientationTable
 from galen_diagnosis.diagnose import main as diagnose
-from galen_diagnosis.effects.drift import drift_columns
-from galen_diagnosis.effects.table_data import TablePlant
-from galen_diagnosis.tables.conclusion import diagnose_blocks
-from galen_diagnosis.tables.rows import prepare_table
-from galen_model.arm.galen import GALEN, GRAVITY_M_S2
+from galen_diagnosis.inference.diagnosing import diagnose_recording
+from galen_diagnosis.observation.observation import Observation
+from galen_diagnosis.tables.orientations import table_recording
+from galen_model.arm.galen import GRAVITY_M_S2
 from galen_model.evidence.held_out import BlockEvidence, BlockRows, Columns
 from galen_model.load.model import Load, gravity_wrench
 from galen_model.rotation import rotvec_to_matrix
-from galen_sim_driver.effects.registry import EFFECTS, effect_from
 from scipy.stats import multivariate_normal
 
 REAL = Path(__file__).resolve().parents[3] / "shared" / "data" / "real"
@@ -80,32 +78,34 @@ def test_held_out_density_is_that_of_the_dense_gaussian():
     assert evidence.held_out(found)[rows.block == 1].T.ravel() == pytest.approx(left, abs=1e-8)
 
 
-def test_the_plant_of_a_table_reads_as_the_formulas_say():
-    table = pose_table(6)
-    load, offset = Load(0.8, np.array([0.01, -0.02, 0.05])), np.arange(6.0)
-    plant = TablePlant(table, np.arange(6.0), load, offset)
-    weight = gravity_wrench(table.gravity, load)
-    assert plant.reading() == pytest.approx(weight + offset)
-    gain = (0.01, -0.02, 0.03, 0.0, 0.05, -0.01)
-    assert plant.change(EFFECTS["axis_gain"](gain=gain)) == pytest.approx(weight * gain)
-    tilted = plant.change(EFFECTS["base_inclination"](about_x_rad=0.02))
-    by_hand = rotvec_to_matrix([-0.02, 0.0, 0.0]) @ GRAVITY_M_S2
-    gravity = np.einsum("nji,j->ni", table.rotation, by_hand)
-    assert tilted == pytest.approx(gravity_wrench(gravity, load) - weight, abs=1e-12)
-
-
-def test_a_drift_of_any_smooth_shape_lies_in_its_columns():
-    at_s = np.linspace(0.0, 200.0, 80)
-    course = 0.1 * np.sin(at_s / 40.0) + 0.001 * at_s
-    for way in drift_columns(at_s)[2:4]:  # a quarter of the span
-        shapes = np.column_stack([way.values[:, 0, :].reshape(80, -1), np.ones(80)])
-        left = course - shapes @ np.linalg.lstsq(shapes, course, rcond=None)[0]
-        assert np.abs(left).max() < 0.01
-    way = drift_columns(at_s)[0]
-    weights = np.linspace(1.0, -1.0, way.size)
-    added = way.values @ weights
-    rate = (added[-1] - added[0]) / 200.0 * 3600.0
-    assert way.parameters["rate_per_hour"](weights) == pytest.approx(rate)
+def test_a_wrist_turns_as_the_table_says():
+    for rotation in (True, False):
+        table = pose_table(12)
+        if not rotation:
+            table = replace(table, rotation=None)
+        load = Load(0.8, np.array([0.01, -0.02, 0.05]))
+        wrench = gravity_wrench(table.gravity, load) + np.arange(6.0)
+        noise = 0.01 * np.random.default_rng(0).standard_normal((200, 6))
+        recording = table_recording(replace(table, wrench=wrench), noise=noise)
+        (bag,) = recording.bags.values()
+        found, _ = recording.arm.sensor_pose(bag.joints)
+        gravity = recording.arm.gravity_m_s2 @ found
+        assert gravity == pytest.approx(table.gravity, abs=1e-9)
+        if rotation:
+            assert found == pytest.approx(table.rotation, abs=1e-9)
+        observation = Observation(recording)
+        rows = observation.nominal.reshape(12, 6) * recording.readings.noise_std
+        assert rows == pytest.approx(rows.mean(axis=0) * np.ones((12, 1)), abs=1e-6)
+        # the load that is fitted beside every cause takes a wrong mass whole
+        heavy = replace(load, mass_kg=1.1)
+        change = (
+            gravity_wrench(table.gravity, heavy) - gravity_wrench(table.gravity, load)
+        ).ravel()
+        rows = change / np.tile(recording.readings.noise_std, 12)
+        left = (
+            rows - observation.unknown @ np.linalg.lstsq(observation.unknown, rows, rcond=None)[0]
+        )
+        assert np.abs(left).max() < 1e-9 * np.abs(rows).max()
 
 
 @pytest.mark.slow
@@ -115,18 +115,20 @@ def test_a_planted_cause_is_found_in_a_table(cause):
     table, sigma = pose_table(), np.repeat([0.02, 0.001], 3)
     load = Load(0.9, np.array([0.004, -0.003, 0.045]))
     offset = np.array([9.0, -1.0, 5.0, 0.4, -0.7, -0.15])
-    turned = effect_from("sensor_mount_rotation", {"rotvec_rad": [0.02, -0.02, 0.01]}, arm=GALEN)
-    plant = TablePlant(table, np.arange(10.0), load, offset)
-    wrench = plant.reading([turned] if cause == turned.name else [])
+    turn = rotvec_to_matrix(
+        [0.05, -0.04, 0.03] if cause == "sensor_mount_rotation" else np.zeros(3)
+    )
+    weight = gravity_wrench(table.gravity, load)
+    wrench = np.hstack([weight[:, :3] @ turn, weight[:, 3:] @ turn]) + offset
     if cause == "unknown":  # each stop has a constant of its own
         wrench += np.repeat([0.3, 0.012], 3) * random.standard_normal(wrench.shape)
     made = replace(table, wrench=wrench + sigma * random.standard_normal(wrench.shape))
     noise = sigma * random.standard_normal((700, 6))
-    answer = diagnose_blocks(cause, *prepare_table(made, noise=noise))
+    answer = diagnose_recording(table_recording(made, noise=noise)).answer
     shares = dict(answer.ranking)
     assert set(shares) >= {"none", "unknown", "axis_gain", "sensor_drift", "cable_drag"}
-    if cause == turned.name:
-        (named,) = [one for one in answer.causes if one.effect != "unknown"]
+    if cause == "sensor_mount_rotation":
+        (named,) = answer.causes
         assert cause in (named.effect, *named.equivalent), answer.sentence
         assert answer.gap["closed_fraction"]["value"] > 0.9
     else:

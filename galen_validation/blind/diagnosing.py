@@ -48,8 +48,7 @@ def diagnosed(recording: Path) -> dict[str, Any]:
     from galen_diagnosis.inference.diagnosing import diagnose_recording
     from galen_diagnosis.observation.observation import Observation
     from galen_diagnosis.observation.recording import read_recording
-    from galen_diagnosis.tables.conclusion import diagnose_blocks
-    from galen_diagnosis.tables.rows import prepare_table
+    from galen_diagnosis.tables.orientations import table_recording
     from galen_model.arm.galen import GALEN
 
     from galen_validation.blind.baselines import answers
@@ -58,8 +57,7 @@ def diagnosed(recording: Path) -> dict[str, Any]:
     started_s = time.monotonic()
     if (recording / TABLE).exists():
         table, reference = (read_table(recording / name, arm=GALEN) for name in (TABLE, EARLIER))
-        prepared = prepare_table(table, references=[reference])
-        found = diagnose_blocks(recording.name, *prepared).to_json()
+        found = diagnose_recording(table_recording(table, references=[reference])).answer.to_json()
         own = {**found, "seconds": time.monotonic() - started_s}
         return {**simple_table_answers(recording), PROGRAM: own}
     given = specified(recording)

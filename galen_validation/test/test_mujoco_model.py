@@ -212,7 +212,7 @@ def gap_in_mujoco(folder, output):
     before, after = (rows_in_mujoco(observation, text) for text in texts)
     behind = healthy_background(observation)
     fitted = behind.fit(after)
-    unknowns = unknowns_alone(behind)
+    unknowns = unknowns_alone(observation, behind)
     before = before - behind.columns[:, UNKNOWNS:] @ fitted[UNKNOWNS:]
     before = before - unknowns.columns @ unknowns.fit(before)
     after = after - behind.columns @ fitted

@@ -190,6 +190,10 @@ def by_pose(rows: ResidualRows) -> View:
     labels: list[str] = []
     details: list[dict[str, Any]] = []
     for number, (bag, pose) in enumerate(zip(present // poses, present % poses, strict=True)):
+        if rows.labels:
+            labels.append(rows.labels[pose])
+            details.append({"pose": rows.labels[pose]})
+            continue
         joints = np.median(rows.joints[row[cell.ravel() == number]], axis=0).round(5).tolist()
         at = dict(zip(rows.arm.joint_names, joints, strict=True))
         labels.append(f"{BAGS[bag]} {'pose' if BAGS[bag] == 'sweep' else 'position'} {pose}")

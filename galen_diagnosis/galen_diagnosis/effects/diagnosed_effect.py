@@ -12,6 +12,7 @@ from typing import Any, Literal
 from xml.etree import ElementTree
 
 import numpy as np
+from galen_bags.arrays.tables import OrientationTable
 from galen_model.arm.arm import Arm
 from galen_model.arrays import Array
 from galen_model.evidence.held_out import Columns
@@ -24,7 +25,7 @@ from scipy.sparse import csc_array
 
 from galen_diagnosis.effects.candidates import Candidate, plain_form
 from galen_diagnosis.effects.jumps import Jump
-from galen_diagnosis.effects.table_data import JointTerms, TablePlant
+from galen_diagnosis.effects.table_data import JointTerms
 from galen_diagnosis.observation.observation import Observation
 from galen_diagnosis.observation.recording import DiagnosticRecording
 from galen_diagnosis.observation.rows import ResidualRows
@@ -167,12 +168,13 @@ class DiagnosedEffect:
     of_the_tool: bool = False
     """Without a tool it isn't there."""
 
+    of_time: bool = False
+    """It comes with time, and is no property of the arm."""
+
     # --- in tables ---------------------------------------------------------------------------
 
-    of_time: bool = False
-    """A block's other parts tell of it, other blocks don't."""
-    in_table: Callable[[TablePlant], Sequence[Columns] | str] = lambda plant: ()
-    """The ways in which it shows in a table of orientations, or why it can't."""
+    hidden_in_table: Callable[[OrientationTable, bool], str] = lambda table, known_load: ""
+    """Why a table of orientations doesn't show it; known_load: mass and centre aren't fitted."""
     in_joint_runs: Callable[[JointTerms], Sequence[Columns] | str] = lambda terms: ()
     """The ways in which it shows in a joint's runs, or why it can't."""
 

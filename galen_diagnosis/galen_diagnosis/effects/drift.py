@@ -5,18 +5,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_model.evidence.held_out import Columns
 from galen_sim_driver.effects.effect import Effect
+from galen_sim_driver.effects.registry import contract_parameters
 from galen_sim_driver.effects.sensor import BiasStep, SensorDrift
 from scipy.sparse import csc_array, hstack
 
 from galen_diagnosis.effects.candidates import Candidate, linear_form
 from galen_diagnosis.effects.diagnosed_effect import DiagnosedEffect, no_forms
 from galen_diagnosis.effects.jumps import Jump
-from galen_diagnosis.effects.table_data import LEVER_M, TablePlant
 from galen_diagnosis.observation.observation import Observation
 from galen_diagnosis.observation.rows import ResidualRows
 
@@ -101,43 +101,6 @@ def _between_knots(drift: SensorDrift, rows: ResidualRows, zero: Array) -> csc_a
     return whole[:, np.flatnonzero(abs(whole).sum(axis=0))]
 
 
-def drift_columns(at_s: Array, by_order: bool = False) -> list[Columns]:
-    """Return smooth courses of all six axes, of several lengths and sizes.
-
-    The leading eigenvectors of exp(-(t - t')^2 / 2 l^2) at the readings' times.
-
-    Args:
-        at_s: Times of the readings, (n,), s.
-        by_order: Whether the order of readings is all that is known of time.
-
-    Returns:
-        Ways with values (n, 6, k), N and N.m, and the parameter `rate_per_hour`.
-
-    """
-    span = float(at_s[-1] - at_s[0])
-    ways = []
-    for share in _TABLE_LENGTHS:
-        fastest = _FASTEST_READINGS * span / len(at_s) if by_order else _FASTEST_S
-        if share < 1.0 and share * span < fastest:
-            continue
-        apart = (at_s[:, None] - at_s[None, :]) / (share * span)
-        value, vectors = np.linalg.eigh(np.exp(-0.5 * apart**2))
-        kept = np.cumsum(value[::-1]) < _KEPT * value.sum()
-        count = int(kept.sum()) + 1
-        shapes = vectors[:, ::-1][:, :count] * np.sqrt(np.maximum(value[::-1][:count], 0.0))
-        shapes = shapes - shapes.mean(axis=0)
-        for size_n in _TABLE_SIZES_N:
-            sizes = size_n * np.repeat([1.0, LEVER_M], 3)
-            values = np.einsum("nk,cd->ncdk", shapes, np.diag(sizes)).reshape(len(at_s), 6, -1)
-            ends = (shapes[-1] - shapes[0]) / span * _HOUR_S
-
-            def rate(w: Array, ends: Array = ends, sizes: Array = sizes) -> Array:
-                return np.asarray(sizes * (w.reshape(6, -1) @ ends))
-
-            ways.append(Columns(values, {"rate_per_hour": rate}, {"bends_every_s": share * span}))
-    return ways
-
-
 SENSOR_DRIFT = DiagnosedEffect(
     name=SensorDrift.name,
     title="drifting sensor",
@@ -152,26 +115,15 @@ SENSOR_DRIFT = DiagnosedEffect(
     # It goes on, but not as before.
     later=lambda effect: SensorDrift(rate_per_hour=tuple(effect.vector().tolist())),
     of_time=True,
-    in_table=lambda plant: drift_columns(plant.at_s, plant.by_order),
     mujoco="rate_per_hour t / 3600 s or, where there are knots, the line through levels at knots_s"
     " is added to the reading, t since the recording's start",
     gazebo="a random one: `<noise><dynamic_bias_stddev>`; else the same formula",
 )
 
 
-def _steps_in_table(plant: TablePlant) -> list[Columns]:
-    """Return a step between any two readings, or some of many."""
-    at_s, typical = plant.at_s, BiasStep.fitted[0].typicals
-    gaps = np.arange(1, len(at_s))
-    if len(gaps) > _MOST_STEPS:
-        gaps = np.unique(np.linspace(1, len(at_s) - 1, _MOST_STEPS).round().astype(int))
-    ways = []
-    for first in gaps:
-        after = (np.arange(len(at_s)) >= first).astype(float)
-        values = np.einsum("n,cd->ncd", after, np.diag(typical))
-        time_s = float((at_s[first - 1] + at_s[first]) / 2.0)
-        ways.append(Columns(values, {"step": lambda w: typical * w}, {"time_s": time_s}))
-    return ways
+def _step_parameters(observation: Observation, effect: BiasStep) -> dict[str, Any]:
+    found = contract_parameters(effect)
+    return found if observation.recording.readings is None else {**found, "bag": "the readings"}
 
 
 BIAS_STEP = DiagnosedEffect(
@@ -187,8 +139,8 @@ BIAS_STEP = DiagnosedEffect(
         grid_s={"sweep": 0.4, "motion": 0.25, "push": 0.4},
     ),
     known="firm",
+    parameters=_step_parameters,
     of_time=True,
-    in_table=_steps_in_table,
     mujoco="step is added to the reading from time_s of bag on",
     gazebo="no such thing: the same formula",
 )

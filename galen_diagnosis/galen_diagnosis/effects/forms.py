@@ -50,7 +50,7 @@ def candidates(observation: Observation) -> list[Candidate]:
     there["tracker"] = any(view.tracks for view in observation.views.values())
     there["motion"] = bool(np.any(np.abs(observation.rows.rate) > 0.05))
     found: list[Candidate] = []
-    for name, effect in sought(observation.recording.arm).items():
+    for name, effect in sought(observation.recording).items():
         record = record_of(name)
         if there[record.needs]:
             found += record.forms(observation, effect)
@@ -103,7 +103,7 @@ class Forms:
         self._observation = observation
         self._unknowns = unknown_columns(observation)
         zero = self._unknowns[:, :6]
-        records = [record_of(name) for name in sought(observation.recording.arm)]
+        records = [record_of(name) for name in sought(observation.recording)]
         known = candidates(observation)
         for record in records:
             known += record.columns(observation, zero)
@@ -196,7 +196,8 @@ def unknown_columns(observation: Observation) -> Array:
         values = np.zeros(UNKNOWNS)
         values[k] = step
         columns.append(observation.change((), Unknowns(values)) / step)
-    return np.stack(columns, axis=1)
+    first = np.stack(columns, axis=1)
+    return np.concatenate([first, observation.unknown], axis=1)
 
 
 def background(
@@ -216,7 +217,8 @@ def background(
     """
     places = _place_columns(observation)
     parts = [unknowns, places]
-    std = [np.array([_ZERO_N] * 3 + [_ZERO_NM] * 3 + [np.inf] * 12)]
+    own = np.ones(unknowns.shape[1] - UNKNOWNS)
+    std = [np.concatenate([[_ZERO_N] * 3 + [_ZERO_NM] * 3 + [np.inf] * 12, own])]
     place = _zero_rad(observation) * np.array([_PLACE_M] * 3 + [_PLACE_RAD] * 3)
     std.append(np.tile(place, places.shape[1] // 6))
     each: list[tuple[Candidate, slice]] = []
@@ -304,7 +306,7 @@ def healthy_background(observation: Observation) -> Background:
     """
     unknowns = unknown_columns(observation)
     known = candidates(observation)
-    for name in sought(observation.recording.arm):
+    for name in sought(observation.recording):
         known += record_of(name).columns(observation, unknowns[:, :6])
     columns = (
         (one, _columns(observation, one))

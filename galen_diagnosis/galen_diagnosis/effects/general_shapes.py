@@ -87,6 +87,30 @@ class ForceField(Effect):
 
 
 @dataclass(frozen=True)
+class MassAtSensor(Effect):
+    """A mass that is there, or missing, at the sensor's origin: the load's moments stay."""
+
+    name = "mass_at_sensor"
+    fitted = (Fitted("delta_kg", "kg", 0.005, -1.0, 5.0),)
+    delta_kg: float = 0.0
+
+    def tool_load(self, mass_kg: float, com_m: Array, direction: Array) -> tuple[float, Array]:
+        """Add the mass; the centre moves towards the sensor's origin.
+
+        Args:
+            mass_kg: As the tool's file has it, kg.
+            com_m: Centre in ft_sensor, (n, 3), m.
+            direction: Not used.
+
+        Returns:
+            Mass, kg, and centre (n, 3), m.
+
+        """
+        whole = mass_kg + self.delta_kg
+        return whole, com_m * (mass_kg / whole)
+
+
+@dataclass(frozen=True)
 class FrictionInJoints(Effect):
     """Dry friction beside the joints' springs: plays in parallel.
 

@@ -11,7 +11,6 @@ parent and e its axis in that frame, what the arm does beside its description go
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
 from dataclasses import replace
 from xml.etree import ElementTree
 
@@ -19,9 +18,6 @@ import numpy as np
 from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN
 from galen_model.arrays import Array
-from galen_model.errors import IdentificationError
-from galen_model.evidence.held_out import Columns
-from galen_model.load.identification import identify_single_load
 from galen_model.load.mounting import inclination, inclination_axes
 from galen_model.rotation import about
 from galen_sim_driver.effects import joints as simulated
@@ -29,7 +25,6 @@ from scipy.spatial.transform import Rotation
 
 from galen_diagnosis.effects.candidates import Candidate, freed, plain_form
 from galen_diagnosis.effects.diagnosed_effect import DiagnosedEffect, FileParts, MujocoParts
-from galen_diagnosis.effects.table_data import STEP, TablePlant, numbers_of
 from galen_diagnosis.observation.observation import Observation
 from galen_diagnosis.observation.recording import DiagnosticRecording
 
@@ -170,35 +165,6 @@ JOINT_AXIS_MISALIGNMENT = DiagnosedEffect(
 )
 
 
-def _inclinations(plant: TablePlant) -> list[Columns] | str:
-    """Return the columns of each usual size, exact at the load and angles that fit together.
-
-    A load that was fitted under a wrong direction of gravity is a wrong one.
-    """
-    table = plant.table
-    if table.rotation is None:
-        return "the table has gravity alone, not the rotation"
-    gravity = table.arm.gravity_m_s2
-    level, angles = simulated.base_inclination(gravity)(), np.zeros(2)
-    if not plant.known_load:
-        with suppress(IdentificationError):
-            found = identify_single_load(
-                table.gravity, table.wrench, [level.name], table.rotation, arm=table.arm
-            )
-            axes = ["xyz".index(axis) for axis in inclination_axes(gravity)]
-            assert found.mounting is not None
-            angles = found.mounting.base_inclination_rad[axes]
-            plant = replace(plant, load=found.load.load)
-    whole = plant.change(level.with_vector(angles))
-    moved = [plant.change(level.with_vector(angles + step)) for step in STEP * np.eye(2)]
-    slope = (np.stack(moved, axis=2) - whole[:, :, None]) / STEP
-    if np.any(angles):
-        slope += np.multiply.outer(whole - slope @ angles, angles / (angles @ angles))
-    return [
-        Columns(usual * slope, numbers_of(level, np.full(2, usual))) for usual in _INCLINATIONS_RAD
-    ]
-
-
 def _inclined_further(effect: simulated.BaseInclination, file: FileParts, variances: Array) -> None:
     # Of two turns the sum: what they don't commute by is of second order.
     inclined = file.mounting.base_inclination_rad + effect.angles_rad
@@ -225,7 +191,9 @@ BASE_INCLINATION = DiagnosedEffect(
     sentence="the base is inclined, by {inclination}",
     remedy="level the base, or correct gravity in the calibration file",
     healthy=True,
-    in_table=_inclinations,
+    hidden_in_table=lambda table, _: (
+        "the table has gravity alone, not the rotation" if table.rotation is None else ""
+    ),
     in_file=_inclined_further,
     advice=_level_frame,
     in_mujoco=_inclined_in_mujoco,

@@ -20,6 +20,7 @@ from galen_diagnosis.observation.observation import Observation
 
 _EDGE_S = 1.0
 _TEMPER = 0.5
+_MOST_GAPS = 400
 
 
 @dataclass(frozen=True)
@@ -77,10 +78,20 @@ class Jump:
         for name, view in observation.views.items():
             if name in self.grid_s and (view.tracks or not self.tracked):
                 at_s = view.scene.tracker_s if self.tracked else view.scene.wrench_s
+                if observation.recording.readings is not None:
+                    times += [(name, float(t)) for t in _between(at_s)]
+                    continue
                 grid = np.arange(_EDGE_S, float(at_s[-1]) - _EDGE_S, self.grid_s[name])
                 times += [(name, float(t)) for t in grid]
         # Bags may not have been recorded in their usual order.
         return sorted(times, key=lambda time: float(_session_times(observation, [time])[0]))
+
+
+def _between(at_s: Array) -> Array:
+    """Return times between two neighbouring readings, or some of many."""
+    gaps = 0.5 * (at_s[1:] + at_s[:-1])
+    chosen = np.linspace(0, len(gaps) - 1, min(len(gaps), _MOST_GAPS)).round().astype(int)
+    return gaps[chosen]
 
 
 def _session_times(observation: Observation, times: list[tuple[str, float]]) -> Array:

@@ -10,25 +10,27 @@ from itertools import product
 from typing import Any
 
 import numpy as np
+from galen_bags.arrays.tables import OrientationTable
 from galen_model.arrays import Array
-from galen_model.evidence.held_out import Columns
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.model import Load
-from galen_model.rotation import skew
 from galen_sim_driver.effects import load as simulated
 from galen_sim_driver.effects.effect import Effect
 from galen_sim_driver.effects.registry import contract_parameters
 
 from galen_diagnosis.effects.candidates import Candidate, floats, plain_form
 from galen_diagnosis.effects.diagnosed_effect import DiagnosedEffect, FileParts, MujocoParts
-from galen_diagnosis.effects.general_shapes import ForceField
-from galen_diagnosis.effects.table_data import LEVER_M, TablePlant, by_simulator
+from galen_diagnosis.effects.general_shapes import ForceField, MassAtSensor
 from galen_diagnosis.observation.observation import UNKNOWNS, Observation, Unknowns
 from galen_diagnosis.observation.recording import DiagnosticRecording
 
 _MASS_KG, _COM_M = 0.1e-3, 0.1e-3
 """What a tool's file may be off at most and still be right, however unsure it says it is itself."""
 _LEAST = 1e-6
+
+
+def _is_fitted(_: OrientationTable, known_load: bool) -> str:
+    return "" if known_load else "mass and centre are fitted (--tool)"
 
 
 def _mass_added(effect: simulated.ToolMassError, file: FileParts, variances: Array) -> None:
@@ -42,14 +44,21 @@ def _load_in_mujoco(effect: Effect, parts: MujocoParts) -> None:
     parts.tool = Load(mass_kg, com_m[0])
 
 
-def _mass_in_table(plant: TablePlant) -> list[Columns] | str:
-    """Return a mass added at the load's centre, and one at the sensor's, without a torque."""
-    ways = by_simulator(simulated.ToolMassError(), of_the_load=True)(plant)
-    if isinstance(ways, str):
-        return ways
-    (same_centre,) = ways
-    forces = np.repeat([1.0, 0.0], 3)[:, None]
-    return [same_centre, replace(same_centre, values=same_centre.values * forces)]
+def _masses(observation: Observation, effect: simulated.ToolMassError) -> Iterator[Candidate]:
+    """Yield a mass at the load's centre and, of a table, one at the sensor's, without a torque."""
+    yield plain_form(effect)
+    if observation.recording.readings is not None:
+        yield replace(
+            plain_form(MassAtSensor(), "at the sensor", name=effect.name),
+            model="at the sensor's origin",
+            wider=True,
+        )
+
+
+def _mass_parameters(
+    _: Observation, effect: simulated.ToolMassError | MassAtSensor
+) -> dict[str, Any]:
+    return {"delta_kg": effect.delta_kg}
 
 
 TOOL_MASS_ERROR = DiagnosedEffect(
@@ -58,9 +67,12 @@ TOOL_MASS_ERROR = DiagnosedEffect(
     sentence="the tool's true mass differs from its file's by {delta_kg}",
     remedy="calibrate the tool again",
     healthy=True,
+    forms=_masses,
+    most_forms=2,
+    parameters=_mass_parameters,
     file_std=lambda tool: max(min(float(tool.load.mass_std_kg), _MASS_KG), _LEAST),
     of_the_tool=True,
-    in_table=_mass_in_table,
+    hidden_in_table=_is_fitted,
     in_file=_mass_added,
     in_mujoco=_load_in_mujoco,
     mujoco="the load's `<inertial mass>`",
@@ -85,7 +97,7 @@ TOOL_COM_ERROR = DiagnosedEffect(
     healthy=True,
     file_std=_com_std,
     of_the_tool=True,
-    in_table=by_simulator(simulated.ToolComError(), of_the_load=True),
+    hidden_in_table=_is_fitted,
     in_file=_centre_moved,
     in_mujoco=_load_in_mujoco,
     mujoco="the load's `<inertial pos>`",
@@ -101,7 +113,6 @@ LOOSE_TOOL = DiagnosedEffect(
     known="rough",
     swings=True,
     of_the_tool=True,
-    in_table=by_simulator(simulated.LooseTool()),
     mujoco="the tool's centre moves by shift_m (d_x, d_y, 0), d the direction of gravity in the"
     " sensor's frame, and the load's by its mass' share of that: set body_ipos at each step",
     gazebo="no such thing: the same motion of the centre",
@@ -276,24 +287,12 @@ def _cable_parameters(
     return {**contract_parameters(effect), "tension_N": float(np.mean(effect.tension(*poses)))}
 
 
-def _cable_in_table(plant: TablePlant) -> list[Columns] | str:
-    """Return the columns of a constant force F along the base's axes at a point r of the tool.
-
-    R^T F and r x R^T F. A pull along gravity weighs as mass does: the tension is the level part.
-    """
-    rotation = plant.table.rotation
-    if rotation is None:
+def _level_pull_hidden(table: OrientationTable, _: bool) -> str:
+    if table.rotation is None:
         return "the table has gravity alone, not the rotation"
-    if _yaws(rotation) < _FEWEST_YAWS:
+    if _yaws(table.rotation) < _FEWEST_YAWS:
         return "the sensor hardly turns about gravity, a level pull is a bias"
-    back = np.swapaxes(rotation, 1, 2)
-    values = np.zeros((len(back), 6, 12))
-    values[:, :3, :3] = _TABLE_N * back
-    # r x R^T F is linear in the nine products r_i F_j
-    for i, cross in enumerate(skew(np.eye(3))):
-        values[:, 3:, 3 + 3 * i : 6 + 3 * i] = _TABLE_N * LEVER_M * (cross @ back)
-    tension = {"tension_N": lambda w: np.asarray(_TABLE_N * np.linalg.norm(w[:2]))}
-    return [Columns(values, tension)]
+    return ""
 
 
 def _yaws(rotation: Array) -> float:
@@ -315,7 +314,7 @@ CABLE_DRAG = DiagnosedEffect(
     parameters=_cable_parameters,
     known="loose",
     of_the_tool=True,
-    in_table=_cable_in_table,
+    hidden_in_table=_level_pull_hidden,
     mujoco="a pull from attachment_m (sensor's frame) towards anchor_m (base's) of tension_n"
     " (1 + stretch_per_m (d - d_0)), or 0 where that is less, d the distance, d_0 that at"
     " reference_m; give it in xfrc_applied, since tendons do not reach a force sensor; bending_nm"

@@ -5,13 +5,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from galen_model.arm.arm import Arm
 from galen_model.arm.galen import GALEN
 from galen_sim_driver.effects.effect import Effect
 from galen_sim_driver.effects.registry import identities
 
 from galen_diagnosis.effects import drift, joints, load, sensor, tracker, transmission
 from galen_diagnosis.effects.diagnosed_effect import DiagnosedEffect
+from galen_diagnosis.observation.recording import DiagnosticRecording
 
 RECORDS: Mapping[str, DiagnosedEffect] = {
     record.name: record
@@ -44,17 +44,25 @@ def record_of(identity: str) -> DiagnosedEffect:
     return RECORDS[identity.partition(":")[0]]
 
 
-def sought(arm: Arm) -> dict[str, Effect]:
-    """Return what is looked for on an arm.
+def sought(recording: DiagnosticRecording) -> dict[str, Effect]:
+    """Return what is looked for in a recording.
 
     Args:
-        arm: Its revolute joints have effects of their own.
+        recording: The revolute joints of its arm have effects of their own; of a table, whose
+            joints aren't known, none.
 
     Returns:
         By identity, effects that change nothing yet.
 
     """
+    arm, readings = recording.arm, recording.readings
     found = identities(arm)
+    if readings is not None:
+        return {
+            name: effect
+            for name, effect in found.items()
+            if name in RECORDS and not RECORDS[name].needs and name not in readings.hidden
+        }
     if arm.joint_names == GALEN.joint_names:
         for record in RECORDS.values():
             for joint in record.not_on_galen:

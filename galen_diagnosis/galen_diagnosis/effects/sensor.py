@@ -17,10 +17,10 @@ each clipped push has in the form
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from itertools import permutations, product
+from itertools import permutations
 from typing import Any
 
 import numpy as np
@@ -41,7 +41,7 @@ from galen_diagnosis.effects.diagnosed_effect import (
     no_forms,
 )
 from galen_diagnosis.effects.general_shapes import SoftSaturation
-from galen_diagnosis.effects.table_data import DELAY_S, JointTerms, TablePlant, by_simulator, in_lag
+from galen_diagnosis.effects.table_data import DELAY_S, JointTerms, in_lag
 from galen_diagnosis.observation.observation import Observation
 from galen_diagnosis.observation.rows import BAGS
 
@@ -65,7 +65,6 @@ SENSOR_MOUNT_ROTATION = DiagnosedEffect(
     sentence="the sensor is turned in its mount, by {rotvec_rad}",
     remedy="correct the sensor's frame in the robot description",
     healthy=True,
-    in_table=by_simulator(simulated.SensorMountRotation()),
     in_file=_turned_further,
     in_mujoco=_turned_in_mujoco,
     mujoco="the `quat` of the sensor's `<site>`",
@@ -78,25 +77,12 @@ def _gains_on_gains(effect: simulated.AxisGain, file: FileParts, variances: Arra
     file.remount(effect.name, range(3, 9), variances, replace(file.mounting, axis_gain=gain))
 
 
-def _gains_in_table(plant: TablePlant) -> list[Columns]:
-    """Return the gains of all axes, and of each alone."""
-    whole = plant.columns(simulated.AxisGain())
-    typical = simulated.AxisGain.fitted[0].typicals
-
-    def one(axis: Array) -> Columns:
-        values = (whole.values @ axis)[:, :, None]
-        return Columns(values, {"gain": lambda w: typical * axis * w[0]})
-
-    return [whole, *map(one, np.eye(6))]
-
-
 AXIS_GAIN = DiagnosedEffect(
     name=simulated.AxisGain.name,
     title="gains of the sensor's axes",
     sentence="the sensor's axes read too much, by {gain}",
     remedy="have the sensor calibrated, or divide its readings by the gains",
     healthy=True,
-    in_table=_gains_in_table,
     in_file=_gains_on_gains,
     mujoco="reading_k becomes (1 + gain_k) reading_k",
     gazebo="no such thing: the same formula",
@@ -179,9 +165,6 @@ CROSSTALK = DiagnosedEffect(
     forms=no_forms,
     columns=crosstalk_candidates,
     most_forms=2,
-    in_table=lambda plant: [
-        plant.columns(effect, {"from": a, "to": b}) for a, b, effect in crosstalks()
-    ],
     mujoco="coefficient times the reading of from_axis is added to that of to_axis",
     gazebo="no such thing: the same formula",
 )
@@ -226,10 +209,6 @@ SENSOR_NONLINEARITY = DiagnosedEffect(
     forms=no_forms,
     columns=nonlinear_candidates,
     known="firm",
-    in_table=lambda plant: [
-        plant.columns(simulated.SensorNonlinearity(axis=axis, signed=signed), {"axis": axis})
-        for axis, signed in product(WRENCH_AXES, (False, True))
-    ],
     mujoco="reading becomes reading + coefficient reading², times its sign where signed",
     gazebo="no such thing: the same formula",
 )
@@ -279,6 +258,7 @@ SENSOR_HYSTERESIS = DiagnosedEffect(
     healthy=True,
     forms=no_forms,
     columns=lagging_candidates,
+    hidden_in_table=lambda table, _: "the way from reading to reading isn't in a table",
     known="rough",
     by_second=True,
     remembers=True,
@@ -463,17 +443,6 @@ def _saturation_parameters(_: Observation, effect: Effect) -> dict[str, Any]:
     return contract_parameters(effect)
 
 
-def _clipped_table(plant: TablePlant) -> Iterator[Columns]:
-    """Yield an axis that clips at some share of the largest reading: on or off, no free size."""
-    largest = np.abs(plant.reading()).max(axis=0)
-    for axis, name in enumerate(WRENCH_AXES):
-        for share in _TABLE_SHARES:
-            limit = float(share * largest[axis])
-            values = plant.change(simulated.SensorSaturation(limit=limit, axis=name))[:, :, None]
-            words = {"axis": name, "limit": limit}
-            yield Columns(values, {}, words, allowed=lambda w: 0.5 < w[0] < 1.5)
-
-
 SENSOR_SATURATION = DiagnosedEffect(
     name=_SATURATION,
     title="saturated sensor",
@@ -485,7 +454,6 @@ SENSOR_SATURATION = DiagnosedEffect(
     most_forms=2,
     known="loose",
     parameters=_saturation_parameters,
-    in_table=lambda plant: list(_clipped_table(plant)),
     mujoco="the axis' reading is clipped to ± limit; a sensor's `cutoff` clips three axes alike",
     gazebo="no such thing: the same formula",
 )

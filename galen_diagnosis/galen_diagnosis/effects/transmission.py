@@ -265,6 +265,7 @@ BACKLASH = DiagnosedEffect(
     most_forms=3,
     known="rough",
     remembers=True,
+    hidden_in_table=lambda table, _: "a table of orientations has no joints",
     in_joint_runs=_gap_of_runs,
     in_mujoco=_gap_in_mujoco,
     mujoco="a second joint of `range` ± gap_rad/2, with `frictionloss` or, of a soft gap,"

@@ -36,7 +36,7 @@ from galen_diagnosis.effects.registry import record_of
 from galen_diagnosis.inference.gap import drawn, parameters_of, sandwich, unknowns_alone
 from galen_diagnosis.inference.posterior import APART
 from galen_diagnosis.inference.refine import Hypothesis
-from galen_diagnosis.observation.observation import UNKNOWNS, Observation
+from galen_diagnosis.observation.observation import Observation
 from galen_diagnosis.observation.rows import FOLDS
 from galen_diagnosis.observation.specification import Specification
 
@@ -94,7 +94,7 @@ def budget(
         Effects and the residual, the largest share first; () where there is no gap.
 
     """
-    whole = unknowns_alone(behind).left(observation.nominal)
+    whole = unknowns_alone(observation, behind).left(observation.nominal)
     spread = _LEAST_NOISES * floor * np.sqrt(2.0 * len(whole))
     if whole @ whole - floor * len(whole) <= spread:
         return ()
@@ -313,7 +313,8 @@ def _shares(
     beside, columns, precision = together.beside, together.columns, together.precision
     kept = np.sort(np.concatenate([np.zeros(0, dtype=int), *(part.places for part in parts)]))
     rows = observation.rows
-    unknown = beside.columns[:, :UNKNOWNS]
+    first = observation.unknowns
+    unknown = beside.columns[:, :first]
     every = np.concatenate([beside.columns, columns[:, kept]], axis=1)
     prior = np.zeros((every.shape[1],) * 2)
     count = beside.columns.shape[1]
@@ -336,7 +337,7 @@ def _shares(
             [part.change + columns[:, part.places] @ numbers[part.places] for part in parts], axis=1
         ) if parts else np.zeros((len(rows), 0))  # fmt: skip
         both = np.column_stack([observation.nominal, changes])
-        free = Background(unknown * ~out[:, None], beside.prior_std[:UNKNOWNS])
+        free = Background(unknown * ~out[:, None], beside.prior_std[:first])
         fitted = free.fit(both * ~out[:, None])
         both = both[out] - unknown[out] @ fitted
         before[out], does[out] = both[:, 0], both[:, 1:]

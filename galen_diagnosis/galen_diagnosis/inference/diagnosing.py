@@ -55,7 +55,7 @@ from galen_diagnosis.inference.structure import (
     remaining_energy,
     structures,
 )
-from galen_diagnosis.observation.observation import UNKNOWNS, Observation
+from galen_diagnosis.observation.observation import Observation
 from galen_diagnosis.observation.recording import DiagnosticRecording
 from galen_diagnosis.report.words import data_words, sentence
 
@@ -204,6 +204,9 @@ def diagnose_recording(
     """
     say = progress or (lambda what, share: None)
     settings = settings or load_settings()
+    if recording.readings is not None:
+        # Its load is fitted, or a whole map of gravity is: there is no arm that exceeds its noise.
+        settings = replace(settings, healthy=0.0)
     for one in references:
         if one.arm.joint_names != recording.arm.joint_names:
             raise GalenError(
@@ -250,15 +253,17 @@ def conclude(explored: Explored, settings: Settings, say: Progress) -> Diagnosis
     chances = _of_causes(explored, chances)
     verdict, chosen = _verdict(explored, chances)
     best = chosen or found.none
-    plain = unknowns_alone(found.behind)
+    plain = unknowns_alone(observation, found.behind)
     say("held out", 0.88)
     gap = held_out_gap(observation, best, found.behind, explored.floor, say)
-    if verdict == "identified" and gap.fraction is not None and (gap.fraction.low or 0.0) < 0.0:
-        verdict = "unknown"  # what was fitted doesn't hold where it wasn't
+    if gap.fraction is not None and verdict in ("identified", "ambiguous"):
+        closed = gap.fraction.low if verdict == "identified" else gap.fraction.value
+        if (closed or 0.0) < 0.0:
+            verdict = "unknown"  # what was fitted doesn't hold where it wasn't
     none = refine(observation, plain, (), ())
     whole = refine(observation, plain, best.parts, best.values, None, 0.0) if best.parts else none
     say("where", 0.96)
-    healthy = _healthy(found, plain)
+    healthy = _healthy(observation, found, plain)
     causes = _causes(explored, chances, verdict, best, gap)
     say("what next", 0.98)
     experiment = _next(explored, chances, verdict)
@@ -274,7 +279,7 @@ def conclude(explored: Explored, settings: Settings, say: Progress) -> Diagnosis
     )
     if verdict == UNKNOWN:  # a healthy arm's deviations then stand for what is not on the list
         parts = tuple(replace(one, probability_beyond=None) for one in parts)
-    limits = observation.recording.specification
+    limits, readings = observation.recording.specification, observation.recording.readings
     answer = Answer(
         recording=observation.recording.name,
         verdict=verdict,
@@ -288,7 +293,8 @@ def conclude(explored: Explored, settings: Settings, say: Progress) -> Diagnosis
         remaining=_remaining(explored),
         tested=excluded_effects(explored, chosen, causes, verdict, settings),
         data=data_words(observation.recording),
-        reference=observation.recording.earlier.names if observation.recording.earlier else (),
+        reference=observation.recording.reference,
+        notes=() if readings is None else readings.notes,
         budget=parts,
         specification={"name": limits.name, "source": limits.source},
     )
@@ -306,9 +312,10 @@ def conclude(explored: Explored, settings: Settings, say: Progress) -> Diagnosis
     )
 
 
-def _healthy(found: Found, plain: Background) -> Array:
+def _healthy(observation: Observation, found: Found, plain: Background) -> Array:
     """How the rows change by each tolerance of a healthy arm, after the unknowns' fit: (N, q)."""
-    tolerances = found.behind.columns[:, UNKNOWNS:] * found.behind.prior_std[UNKNOWNS:]
+    first = observation.unknowns
+    tolerances = found.behind.columns[:, first:] * found.behind.prior_std[first:]
     return plain.left(tolerances)
 
 
@@ -481,13 +488,11 @@ def _equivalent(explored: Explored, fit: Hypothesis, index: int) -> tuple[str, .
             if whole - got.gain < APART**2:
                 out.add(one.effect)
     out |= explored.equivalents(fit.names, part.effect)
-    return tuple(name for name in sought(explored.observation.recording.arm) if name in out)
+    return tuple(name for name in sought(explored.observation.recording) if name in out)
 
 
 def _ranking(explored: Explored, chances: Probabilities) -> tuple[tuple[str, float], ...]:
-    each = {
-        name: chances.effects.get(name, 0.0) for name in sought(explored.observation.recording.arm)
-    }
+    each = {name: chances.effects.get(name, 0.0) for name in sought(explored.observation.recording)}
     # What can't be distinguished is as likely.
     for chance, names in _sets(explored, chances):
         for effect in names:
@@ -516,6 +521,8 @@ def _next(explored: Explored, chances: Probabilities, verdict: Verdict) -> Exper
 
 def _stood(observation: Observation) -> Array:
     """Return joints (n, joints) where the arm stood; none of too few poses to choose from."""
+    if observation.recording.readings is not None:
+        return np.array([])  # of a table's arm nothing is known
     if observation.recording.arm.joint_names == GALEN.joint_names:
         return GALEN.home[None]  # its experiments are on a grid
     found = [list(one["joints"].values()) for one in by_pose(observation.rows).details]
@@ -548,9 +555,14 @@ def _remaining(explored: Explored) -> tuple[dict[str, Any], ...]:
 def _cannot_tell(observation: Observation) -> tuple[str, ...]:
     """Return what is missing, and which effects it hides."""
     recording = observation.recording
+    if recording.readings is not None:
+        reasons: dict[str, list[str]] = {}
+        for name, reason in recording.readings.hidden.items():
+            reasons.setdefault(reason, []).append(name)
+        return tuple(f"{', '.join(names)}: {reason}" for reason, names in reasons.items())
     out = [f"no {name}: not diagnosed" for name in recording.missing]
     if not any(view.tracks for view in observation.views.values()):
-        out.append(f"no tracker: {_needing('tracker', sought(recording.arm))} can't be seen")
+        out.append(f"no tracker: {_needing('tracker', sought(recording))} can't be seen")
     if "motion" in recording.missing and "sweep" in recording.missing:
         out.append(f"no motion: {_needing('motion', sorted(RECORDS))} can't be seen")
     if not len(_stood(observation)):

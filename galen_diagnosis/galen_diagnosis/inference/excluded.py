@@ -115,7 +115,7 @@ def excluded_effects(
     named = {cause.label for cause in causes if verdict != UNKNOWN}
     alike = {name: cause.label for cause in causes for name in cause.equivalent}
     out = []
-    for name in sought(observation.recording.arm):
+    for name in sought(observation.recording):
         if name in named:
             continue
         if verdict == UNKNOWN:
@@ -142,7 +142,7 @@ def _why_unseen(name: str) -> str:
 def _forms(explored: Explored, behind: Background) -> dict[str, list[_Form]]:
     """Return the forms of each effect by identity, those that hold a smaller one left out."""
     observation = explored.observation
-    nothing = sought(observation.recording.arm)
+    nothing = sought(observation.recording)
     out: dict[str, list[_Form]] = {}
     for one, gram, _ in explored.found.forms.reduced(behind, np.zeros(len(observation.rows))):
         if one.wider:
@@ -158,7 +158,7 @@ def _forms(explored: Explored, behind: Background) -> dict[str, list[_Form]]:
 
 def _jumps(observation: Observation, behind: Background, forms: Forms) -> Iterator[_Form]:
     """Yield jumps in the middle of each bag."""
-    jumps = [record_of(name).jump for name in sought(observation.recording.arm)]
+    jumps = [record_of(name).jump for name in sought(observation.recording)]
     for name, view in observation.views.items():
         at_s = 0.5 * float(view.scene.wrench_s[-1])
         after = (observation.rows.session_s >= view.scene.start_s + at_s).astype(float)[:, None]

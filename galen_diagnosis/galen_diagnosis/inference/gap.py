@@ -38,7 +38,7 @@ from galen_diagnosis.answer.answer import Interval
 from galen_diagnosis.effects.candidates import Candidate
 from galen_diagnosis.effects.registry import record_of
 from galen_diagnosis.inference.refine import Hypothesis, refine
-from galen_diagnosis.observation.observation import UNKNOWNS, Observation
+from galen_diagnosis.observation.observation import Observation
 from galen_diagnosis.observation.rows import FOLDS, ResidualRows
 
 _DRAWS = 400
@@ -67,17 +67,19 @@ class Gap:
         }
 
 
-def unknowns_alone(behind: Background) -> Background:
+def unknowns_alone(observation: Observation, behind: Background) -> Background:
     """Return the background of the unknowns, without a healthy arm's tolerances.
 
     Args:
+        observation: What was measured.
         behind: Unknowns first, then what else is fitted beside every cause.
 
     Returns:
-        Its first 18 columns with their prior.
+        Its first columns with their prior.
 
     """
-    return Background(behind.columns[:, :UNKNOWNS], behind.prior_std[:UNKNOWNS])
+    count = observation.unknowns
+    return Background(behind.columns[:, :count], behind.prior_std[:count])
 
 
 def held_out_gap(
@@ -116,8 +118,9 @@ def held_out_gap(
             ~out,
             none_cost=0.0,
         )
-        healthy = behind.columns[:, UNKNOWNS:] @ fitted.background[UNKNOWNS:]
-        before[out] = without_unknowns(behind, observation.nominal - healthy, out)
+        first = observation.unknowns
+        healthy = behind.columns[:, first:] @ fitted.background[first:]
+        before[out] = without_unknowns(observation, behind, observation.nominal - healthy, out)
         everywhere = observation.residual(fitted.effects, fitted.unknowns) - healthy
         for part in fitted.parts:
             if part.inputs and part.columns is not None and part.columns.shape[1]:
@@ -168,10 +171,13 @@ def _fraction(before: float, after: float, floor: float) -> float | None:
     return None if before <= floor else float((before - after) / (before - floor))
 
 
-def without_unknowns(behind: Background, rows: Array, out: np.ndarray) -> Array:
+def without_unknowns(
+    observation: Observation, behind: Background, rows: Array, out: np.ndarray
+) -> Array:
     """Return rows held out, less the unknowns as fitted to the other rows.
 
     Args:
+        observation: What was measured.
         behind: Unknowns first, then what else is fitted beside every cause.
         rows: All rows, (N,).
         out: Which of them are held out, (N,) bool.
@@ -180,8 +186,8 @@ def without_unknowns(behind: Background, rows: Array, out: np.ndarray) -> Array:
         The m rows held out, (m,).
 
     """
-    unknowns = unknowns_alone(_only(behind, ~out)).fit(np.where(out, 0.0, rows))
-    return np.asarray(rows[out] - behind.columns[out, :UNKNOWNS] @ unknowns)
+    unknowns = unknowns_alone(observation, _only(behind, ~out)).fit(np.where(out, 0.0, rows))
+    return np.asarray(rows[out] - behind.columns[out, : len(unknowns)] @ unknowns)
 
 
 def _only(behind: Background, keep: np.ndarray) -> Background:

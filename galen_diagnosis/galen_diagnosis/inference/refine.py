@@ -204,7 +204,8 @@ def refine(
     log_bayes += sum(part.bonus for part in parts)
     if none_cost is not None:
         log_bayes += 0.5 * (none_cost - cost)
-    unknown = nu[:UNKNOWNS].copy()
+    first = observation.unknowns
+    unknown = nu[:first].copy()
     unknown[_BASE] += base
     split = tuple(np.split(theta, cuts)) if parts else ()
     return Hypothesis(
@@ -214,7 +215,7 @@ def refine(
         columns,
         tuple(effects(theta)),
         Unknowns(unknown),
-        np.concatenate([unknown, nu[UNKNOWNS:]]),
+        np.concatenate([unknown, nu[first:]]),
         after,
         rows,
         cost,

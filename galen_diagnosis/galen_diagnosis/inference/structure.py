@@ -47,6 +47,8 @@ from galen_diagnosis.observation.rows import (
 _CELL_S = 0.5
 _SURE = 2.0
 _FLOOR_ERROR = 0.04
+_LEAST_FREEDOM = 100
+"""Degrees of freedom from which on rows show their noise better than it is known."""
 
 
 def remaining_energy(rows: ResidualRows, residual: Array) -> tuple[float, float]:
@@ -68,7 +70,8 @@ def remaining_energy(rows: ResidualRows, residual: Array) -> tuple[float, float]
     energy = float(np.sum(total**2 / number))
     count = len(number)
     within = float(residual @ residual) - energy
-    floor = within / max(len(residual) - count, 1)
+    freedom = len(residual) - count
+    floor = within / freedom if freedom >= _LEAST_FREEDOM else 1.0
     chance = _SURE * floor * np.sqrt(2.0 * count) + _FLOOR_ERROR * count
     return max(0.0, energy - count * floor - chance), floor
 

@@ -27,7 +27,12 @@ from galen_sim_driver.effects.effect import Effect
 from galen_sim_driver.replay import Between, Replay, Scene
 
 from galen_diagnosis.observation.noise import ChannelNoise, channel_noise
-from galen_diagnosis.observation.recording import BagData, DiagnosticRecording, Track
+from galen_diagnosis.observation.recording import (
+    BagData,
+    DiagnosticRecording,
+    Readings,
+    Track,
+)
 from galen_diagnosis.observation.rows import (
     BAGS,
     MARKER_AXES,
@@ -73,7 +78,7 @@ class Unknowns:
 
     offset (6,): of the reading, N and N.m. base (6,): how base_link is displaced in the tracker
     from the observation's first estimate, along base_link: m, rad. marker (6,): displacement of the
-    base's marker from its mean.
+    base's marker from its mean. More are weights of a table's own unknowns.
     """
 
     values: Array
@@ -96,7 +101,7 @@ class Unknowns:
     @property
     def marker(self) -> Array:
         """Of the base's marker (6,)."""
-        return self.values[12:]
+        return self.values[12:UNKNOWNS]
 
 
 @dataclass(frozen=True)
@@ -144,7 +149,12 @@ class Observation:
             first_block += len(numbers)
             parts.append((rows, values))
         joined, self.nominal = _joined(parts)
-        self.rows = ResidualRows(**joined, arm=recording.arm)
+        self.unknown = self._unknown(len(self.nominal))
+        """Columns (N, k) of a table's own unknowns, beside those that all recordings have."""
+        readings = recording.readings
+        self.rows = ResidualRows(
+            **joined, arm=recording.arm, labels=() if readings is None else readings.labels
+        )
         if first_block < 2:
             raise GalenError(
                 f"{recording.name}: one pose, or three seconds, is all there is; nothing is "
@@ -187,7 +197,10 @@ class Observation:
             ]
             led[0] = led[0][view.shows]
             out += [(gain * part).ravel() for gain, part in zip(view.gains, led, strict=True)]
-        return np.concatenate(out)
+        changes = np.concatenate(out)
+        if unknowns is not None and len(unknowns.values) > UNKNOWNS:
+            changes += self.unknown @ unknowns.values[UNKNOWNS:]
+        return changes
 
     def nominal_reading(self, name: str) -> Array:
         """Return what the nominal arm would read at a bag's wrench rows.
@@ -299,6 +312,17 @@ class Observation:
 
     # Rows
 
+    def _unknown(self, count: int) -> Array:
+        readings = self.recording.readings
+        if readings is None:
+            return np.zeros((count, 0))
+        return (readings.unknowns / readings.noise_std[:, None]).reshape(count, -1)
+
+    @property
+    def unknowns(self) -> int:
+        """How many numbers aren't known and no gap: the first columns of every background."""
+        return UNKNOWNS + self.unknown.shape[1]
+
     def _add(self, name: str, bag: BagData) -> _Part:
         tool = self.recording.tool
         scene = Scene(
@@ -317,6 +341,8 @@ class Observation:
             inertia_kg_m2=self.recording.inertia_kg_m2,
             nominal=self.recording.nominal_effects,
         )
+        if bag.readings is not None:
+            return self._add_readings(bag, bag.readings, scene)
         of = phases(self.recording.arm, bag.wrench_s, bag.joint_s, bag.joints)
         residual = scene.reading - Replay(scene).reading()
         regime = moving_regime(scene.arm, of)
@@ -367,6 +393,23 @@ class Observation:
             parts += more
         self.views[name] = BagView(thin, shows, gains, leads)
         return _joined(parts)
+
+    def _add_readings(self, bag: BagData, known: Readings, scene: Scene) -> _Part:
+        """Take each reading for itself, with the noise that is known of it."""
+        count = len(bag.wrench_s)
+        still, each = np.ones(count, dtype=bool), np.arange(count)
+        nothing = np.zeros_like(bag.joints)
+        of = Phases(each, still, known.block, nothing, nothing)
+        noise = [ChannelNoise(np.zeros(0), float(std)) for std in known.noise_std]
+        groups = Groups(each, bag.wrench_s, np.ones(count, dtype=int))
+        gain = np.tile(1.0 / known.noise_std, (count, 1))
+        self.noise[bag.name] = noise
+        none = np.zeros((0, 6))
+        self.views[bag.name] = BagView(scene, still, (gain, none, none), (None, None, None))
+        rows = _whereabouts(bag, bag.wrench_s, of, np.zeros(count, int), groups, still, 0, noise)
+        rows["block"] = np.repeat(known.block, 6)
+        residual = scene.reading - Replay(scene).reading()
+        return rows, (gain * residual).ravel()
 
     def _track(
         self, bag: BagData, scene: Scene, regime: np.ndarray

@@ -7,7 +7,7 @@ Nothing else in its directory is opened.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -77,11 +77,31 @@ class Track:
 
 
 @dataclass(frozen=True)
+class Readings:
+    """What is known of a table's n readings, each of which stands for itself.
+
+    block (n,): readings that are held out together, numbered; labels: of the blocks. noise_std
+    (6,), N and N.m, of a reading. unknowns (n, 6, k): what is no gap, in readings by weights of
+    about one. hidden: by effect, why it can't be seen. notes: how they were made. earlier: names
+    of the tables that what is nominal is from.
+    """
+
+    block: np.ndarray
+    labels: tuple[str, ...]
+    noise_std: Array
+    unknowns: Array
+    hidden: Mapping[str, str]
+    notes: tuple[str, ...] = ()
+    earlier: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class BagData:
     """One bag; times in s since its first stamp, in increasing order.
 
     start_s: its first stamp since the recording's. joint_s (nj,), joints (nj, n) m and rad;
     wrench_s (nw,), wrenches (nw, 6) N and N.m in ft_sensor; the two markers, None without.
+    readings: of a table, whose joints are those of a wrist.
     """
 
     name: str
@@ -92,6 +112,7 @@ class BagData:
     wrenches: Array
     tool_marker: Track | None
     base_marker: Track | None
+    readings: Readings | None = None
 
 
 DAY_TO_DAY = 0.05
@@ -130,6 +151,18 @@ class DiagnosticRecording:
     specification: Specification
     inertial_forces: bool = False
     earlier: Earlier | None = None
+
+    @property
+    def readings(self) -> Readings | None:
+        """What is known of its readings, of a table; None of bags."""
+        return next((bag.readings for bag in self.bags.values()), None)
+
+    @property
+    def reference(self) -> tuple[str, ...]:
+        """Names of the earlier recordings or tables that it is compared with."""
+        if self.readings is not None:
+            return self.readings.earlier
+        return self.earlier.names if self.earlier is not None else ()
 
     @property
     def inertia_kg_m2(self) -> Array | None:

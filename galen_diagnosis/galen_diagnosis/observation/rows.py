@@ -56,7 +56,8 @@ class ResidualRows:
     or of the arm's position among the pushes; -1 in motion. block: rows of one block are held out
     together, and are what is drawn in a bootstrap; numbered over the whole recording. fold (0 ...
     FOLDS - 1): of the block. joints (N, n): reported, m and rad. rate (N, n): their rates. samples:
-    how many a row averages. scale: what one unit is in N, N.m, m or rad.
+    how many a row averages. scale: what one unit is in N, N.m, m or rad. labels: of a table's
+    blocks, which are its poses.
     """
 
     channel: np.ndarray
@@ -72,6 +73,7 @@ class ResidualRows:
     samples: np.ndarray
     scale: Array
     arm: Arm
+    labels: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.channel)

@@ -382,6 +382,7 @@ def _made_of(answer: Answer) -> str:
     return f" What the nominal model leaves is made of: {parts}."
 
 
+_HALF = 0.5
 _MOST_PARTS = 3
 _MOST_TWINS = 6
 
@@ -407,10 +408,12 @@ def sentence(answer: Answer) -> str:
             return f"Unchanged since {since} but for {name}, probability {chance}."
         return f"Within specification ({name}), probability {chance}.{_made_of(answer)}"
     if answer.verdict == UNKNOWN:
-        text = (
-            f"There is a gap that no effect on the list explains{_best_of_list(answer)},"
-            f" probability {probability_words(chances.get(UNKNOWN, 0.0))}."
-        )
+        chance, nearest = chances.get(UNKNOWN, 0.0), _best_of_list(answer)
+        text = f"There is a gap that no effect on the list explains{nearest}"
+        if chance >= _HALF:
+            text += f", probability {probability_words(chance)}."
+        else:
+            text += ": what fits best doesn't hold on readings that its fit hasn't seen."
         if answer.remaining:
             text += f" What remains varies systematically: {answer.remaining[0]['what']}."
         return text
@@ -532,12 +535,24 @@ def data_words(recording: DiagnosticRecording) -> tuple[tuple[str, str], ...]:
     )
     tool, limits = recording.tool, recording.specification
     of = f" ({limits.source})" if limits.source else ""
+    measured: tuple[tuple[str, str], ...]
+    if recording.readings is None:
+        measured = (
+            ("recording", recording.name),
+            ("bags", ", ".join(bags)),
+            ("arm", recording.arm.name),
+            ("calibration file", f"{tool.tool}, of {tool.calibrated_at}"),
+            ("nominal model", recording.nominal),
+        )
+    else:
+        file = f"{tool.tool}, of {tool.calibrated_at}" if tool.calibrated_at else "none"
+        measured = (
+            ("table", recording.name),
+            *(("readings", note) for note in recording.readings.notes),
+            ("calibration file", file),
+        )
     return (
-        ("recording", recording.name),
-        ("bags", ", ".join(bags)),
-        ("arm", recording.arm.name),
-        ("calibration file", f"{tool.tool}, of {tool.calibrated_at}"),
-        ("nominal model", recording.nominal),
+        *measured,
         ("specification", f"{limits.name}{of}"),
         ("program", f"galen_diagnosis {_version()}"),
     )

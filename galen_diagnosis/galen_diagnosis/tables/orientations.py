@@ -13,30 +13,40 @@ plays, velocity and direction are those of `galen_model.transmission`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 from galen_bags.arrays.tables import OrientationTable, average_still, without_repeats
-from galen_model.arm.galen import WRENCH_AXES
+from galen_model.arm.arm import Arm, Joint, constant
 from galen_model.arrays import Array
-from galen_model.errors import GalenError
-from galen_model.evidence.held_out import BlockRows, Columns, Effects
+from galen_model.errors import GalenError, IdentificationError
 from galen_model.files.calibration_file import CalibrationFile
-from galen_model.load.identification import plain_least_squares
-from galen_model.load.model import Load, gravity_regressor
-from galen_model.play import PlayOperators
+from galen_model.load.identification import identify_single_load, plain_least_squares
+from galen_model.load.model import Load, LoadEstimate, gravity_regressor, gravity_wrench
 from galen_model.rest.segments import DirectionRest, rest_by_direction
-from galen_model.transmission import TERMS, JointRun, Parts, Scales, design, noise_of
+from galen_sim_driver.effects.joints import BaseInclination
+from galen_sim_driver.effects.registry import limit_parts
+from scipy.spatial.transform import Rotation
 from scipy.stats import f as f_distribution
 
 from galen_diagnosis.effects.registry import RECORDS
-from galen_diagnosis.effects.table_data import JointTerms, TablePlant
 from galen_diagnosis.observation.noise import ChannelNoise, channel_noise
+from galen_diagnosis.observation.recording import (
+    DAY_TO_DAY,
+    BagData,
+    DiagnosticRecording,
+    Readings,
+)
+from galen_diagnosis.observation.specification import DEFAULT, Specification, specification_of
 
 _FEWEST_BLOCKS = 4
 _LEAST_FREEDOM = 2
+_MANY = 20
+"""Readings from which on a map of ten numbers is fitted to a channel."""
 _MAPPED = "gravity", "wrench"
 _SAME_GRAVITY_RAD = 0.03
 _MOST_VISITS = 60
@@ -51,11 +61,12 @@ _SIGMAS = 3.0
 _WIDE = np.array([10.0, 1.0, 1.0, 1.0, *[100.0] * 3, *[10.0] * 3])
 """Mass (kg), first moments (kg.m), constants: nothing is known of them."""
 _LONGEST_CURVE_S = 3.0
-_NO_FLOOR = 1.0 / 300.0
-_LEVELS = np.geomspace(1.0, 600.0, 14)
-"""What a floor that is not known may be, over a 300th of the residual."""
-_MOST_NOISE = 0.1
-"""Of how forces change: what is more is not taken for noise."""
+_READING_S = 10.0
+"""Of a reading where their order is all that is known of time."""
+_WRIST = ("yaw", "pitch", "roll")
+_NO_FLOOR = (
+    "the noise isn't known (--noise): what no linear map of gravity explains is taken for it"
+)
 
 
 @dataclass(frozen=True)
@@ -80,27 +91,29 @@ class Floor:
         return 1.0 / (1.0 + 2.0 * self.alike / np.expm1(step_s / self.memory_s))
 
 
-def prepare_table(
+def table_recording(
     table: OrientationTable,
     noise: Array | None = None,
     tool: CalibrationFile | None = None,
     window_s: float = 1.0,
     references: Sequence[OrientationTable] = (),
-) -> tuple[BlockRows, Effects, tuple[str, ...]]:
-    """Return rows and effects of a table, and notes on how they were made.
+    specification: Specification | None = None,
+) -> DiagnosticRecording:
+    """Return a table as a recording, whose arm is a wrist that turns as the sensor does.
 
     Args:
         table: n readings with orientations; one with time and without blocks is cut into its rest
             segments.
-        noise: Readings of the same sensor, still and untouched, (m, 6), N and N.m, for the floor
-            of a table that isn't cut; None where there are none. Not used with references.
-        tool: File that has the load; None to fit it. Not used with references.
-        window_s: How long an average in a rest segment is.
-        references: Earlier tables of the same sensor and load: nominal is the load that fits them,
+        noise: Readings of the sensor, still and untouched, (m, 6), for the floor of a table without
+            time.
+        tool: Its load is that on the sensor; None where mass and centre are fitted.
+        window_s: Of the averages of a table with time.
+        references: Earlier tables of the same sensor and tool: what is nominal is their fit, and
             the floor what it leaves of them.
+        specification: Limits of what is healthy; None for those of a usual sensor.
 
     Returns:
-        Rows in the sensor's frame, six channels; the ways in which effects show; sentences.
+        One bag whose readings stand for themselves each.
 
     Raises:
         GalenError: The table or a reference can't be used.
@@ -119,72 +132,98 @@ def prepare_table(
             notes.append(f"{repeats} rows repeat another one: counted once")
         floor = _floor_of_readings(averaged, noise)
     if table.time is None:
-        notes.append("the order of readings is taken for time")
+        notes.append(f"the order of readings is taken for time, {_READING_S:g} s each")
     block, labels = _blocks(averaged, apart=bool(references))
     if len(labels) < _FEWEST_BLOCKS:
         raise GalenError(
             f"{table.path}: {len(labels)} blocks of readings; holding some out takes"
             f" {_FEWEST_BLOCKS}"
         )
+    arm, joints = _wrist(averaged)
+    limits = specification or specification_of([DEFAULT], limit_parts(arm))
     if references:
         earlier = [_averaged(one, window_s) for one in references]
-        plant, nominal, floor, expected = _nominal_since(averaged, earlier)
+        load, unknowns, floor, expected = _nominal_since(averaged, earlier)
+        limits = limits.scaled(DAY_TO_DAY, "day-to-day changes of ")
     else:
-        plant, nominal = _nominal(averaged, tool)
-        expected = plant.reading()
-    residual = averaged.wrench - expected
-    known = floor is not None
+        load, unknowns, expected = _nominal(averaged, tool)
+    problems: tuple[str, ...] = ()
     if floor is None:
-        spread = np.repeat([residual[:, :3].std(), residual[:, 3:].std()], 3)
-        floor = Floor(_NO_FLOOR * spread, 0.0, 1.0, "not known")
-        most = _MOST_NOISE * np.std(averaged.wrench[:, :3] - averaged.wrench[:, :3].mean(axis=0))
-        levels = tuple(_LEVELS[_LEVELS * floor.std[0] < most].tolist())
+        floor, problems = _floor_of_a_map(averaged), (_NO_FLOOR,)
     notes.append(f"floor: {floor.source}")
-    rows = BlockRows(
-        channels=WRENCH_AXES,
-        units=("N", "N", "N", "N.m", "N.m", "N.m"),
-        residual=residual,
-        floor=floor.std,
-        at_s=plant.at_s,
-        block=block,
-        labels=labels,
-        alike=floor.alike,
-        memory_s=floor.memory_s,
-        floor_known=known,
-        memories_s=(float("inf"), 1e-6),
-    )
-    if references:
-        rows = replace(rows, levels=_levels(len(averaged), sum(map(len, earlier))))
-    if not known:
-        rows = replace(rows, levels=levels, memories_s=(float("inf"),))
+    file = _file(averaged, load, tool, arm)
+    residual = averaged.wrench - expected
+    assert averaged.time is not None
+    at_s = (averaged.time - averaged.time[0]) * (1.0 if table.time is not None else _READING_S)
     known_load = tool is not None or bool(references)
-    plant = replace(plant, known_load=known_load, by_order=table.time is None)
-    ways = {name: record.in_table(plant) for name, record in RECORDS.items()}
-    for name, record in RECORDS.items():
-        if record.needs == "motion":
-            ways[name] = "rest segments have no motion"
-    return rows, _shown(nominal, ways), tuple(notes)
+    hidden = {
+        name: reason
+        for name, record in RECORDS.items()
+        if (reason := record.hidden_in_table(averaged, known_load))
+    }
+    names = tuple(Path(one.path).stem for one in references)
+    readings = Readings(block, labels, floor.std, unknowns, hidden, tuple(notes), names)
+    wrench = file.predict(arm.angles(joints)) + residual
+    bag = BagData("sweep", 0.0, at_s, joints, at_s, wrench, None, None, readings)
+    name = Path(table.path).stem
+    return DiagnosticRecording(name, file, {"sweep": bag}, (), problems, arm, limits)
 
 
-def _shown(nominal: Columns, ways: Mapping[str, Sequence[Columns] | str]) -> Effects:
-    """Return the effects that show, and sentences on those that can't; ways: or why they can't."""
-    of: dict[str, Sequence[Columns]] = {}
-    cannot: dict[str, list[str]] = {}
-    for name, found in ways.items():
-        if isinstance(found, str):
-            cannot.setdefault(found, []).append(name)
-        elif found:
-            of[name] = found
-    reasons = (f"{', '.join(names)}: {reason}" for reason, names in cannot.items())
-    return Effects(nominal, of, tuple(reasons))
+def _wrist(table: OrientationTable) -> tuple[Arm, Array]:
+    """Return three joints that turn the sensor about one point, and their angles (n, 3)."""
+    axes = zip(_WRIST, np.eye(3)[::-1], strict=True)
+    zero = constant(0.0, 0.0, 0.0)
+    joints = tuple(
+        Joint(name, "revolute", constant(*axis), zero, -np.inf, np.inf) for name, axis in axes
+    )
+    size = float(np.linalg.norm(table.gravity, axis=1).mean())
+    down = table.arm.gravity_m_s2 / np.linalg.norm(table.arm.gravity_m_s2)
+    arm = Arm("wrist", joints, zero, np.eye(3), constant(*(size * down)),
+              sensor_frame=table.arm.sensor_frame)  # fmt: skip
+    rotation = table.rotation
+    if rotation is None:
+        unit = table.gravity / np.linalg.norm(table.gravity, axis=1, keepdims=True)
+        rotation = np.stack([Rotation.align_vectors(down, one)[0].as_matrix() for one in unit])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # where two axes are parallel one angle is free
+        return arm, Rotation.from_matrix(rotation).as_euler("ZYX")
 
 
-def _load_columns(gravity: Array, prior: Array) -> Columns:
+def _file(
+    table: OrientationTable, load: Load, tool: CalibrationFile | None, arm: Arm
+) -> CalibrationFile:
+    """Return the tool's file for the wrist, or one of the load that was fitted."""
+    if tool is not None:
+        return replace(tool, arm=arm, zeroing=None, mounting=None, cable=None,
+                       residual_offset=np.zeros(6))  # fmt: skip
+    of = LoadEstimate(load.mass_kg, np.asarray(load.com_m, dtype=float), np.zeros((4, 4)))
+    none = LoadEstimate(0.0, np.zeros(3), np.zeros((4, 4)))
+    return CalibrationFile(
+        "load", of, none, np.zeros(3), np.zeros(6), len(table), "", arm=arm, zeroing=None
+    )
+
+
+def _floor_of_a_map(table: OrientationTable) -> Floor:
+    """Return what a linear map of gravity leaves of each channel or, with many poses, of R^T.
+
+    With it gravity, and what else pulls, may have any direction in the base.
+    """
+    of, words = table.gravity, "gravity"
+    if table.rotation is not None and len(table) >= _MANY:
+        of, words = table.rotation.reshape(len(table), 9), "the orientation"
+    design = np.column_stack([of, np.ones(len(table))])
+    left = table.wrench - design @ np.linalg.lstsq(design, table.wrench, rcond=None)[0]
+    freedom = max(len(table) - int(np.linalg.matrix_rank(design)), 1)
+    std = np.sqrt(np.sum(left**2, axis=0) / freedom)
+    return Floor(std, 0.0, 1.0, f"what a linear map of {words} leaves of each channel")
+
+
+def _load_columns(gravity: Array, prior: Array) -> Array:
     """Return columns that are always fitted: moments and constants, by their prior (10,)."""
     values = np.zeros((len(gravity), 6, 10))
     values[:, :, :4] = gravity_regressor(gravity)
     values[:, :, 4:] = np.eye(6)
-    return Columns(values * prior, {})
+    return values * prior
 
 
 @dataclass(frozen=True)
@@ -237,7 +276,7 @@ def _levels(later: int, earlier: int) -> tuple[float, ...]:
 
 def _nominal_since(
     table: OrientationTable, earlier: Sequence[OrientationTable]
-) -> tuple[TablePlant, Columns, Floor, Array]:
+) -> tuple[Load, Array, Floor, Array]:
     """Return the load, how far nominal may be off, the floor, and nominal readings (n, 6).
 
     What is nominal is a map of gravity, w = A g + b, fitted to earlier tables channel by channel:
@@ -263,7 +302,11 @@ def _nominal_since(
     cofactor = np.linalg.inv(design.T @ design)
     fitted = cofactor @ design.T @ wrench
     residual = wrench - design @ fitted
-    alike, memory_s = _memory(residual, np.concatenate([_seconds(one) for one in earlier]), which)
+    own, own_freedom = _left_by_map_and_jump(table, np.sum(residual**2, axis=0) / freedom)
+    residual, freedom = np.concatenate([residual, own]), freedom + own_freedom
+    which = np.concatenate([which, np.full(len(own), len(earlier))])
+    at_s = np.concatenate([_seconds(one) for one in (*earlier, table)])[: len(which)]
+    alike, memory_s = _memory(residual, at_s, which)
     moments, _ = plain_least_squares(gravity, wrench)
     if not moments[0] > 0.0:
         raise GalenError(f"{earlier[0].path}: the load would weigh {moments[0]:.3g} kg")
@@ -271,6 +314,8 @@ def _nominal_since(
     expected = table.gravity @ fitted[:3]
     offset = (table.wrench - expected).mean(axis=0)
     source = f"what gravity leaves of {len(design)} readings of the reference"
+    if own_freedom:
+        source += f" and, with one jump, of these {len(table)}"
     floor = Floor(np.sqrt(np.sum(residual**2, axis=0) / freedom), alike, memory_s, source)
     std = floor.std / np.sqrt(floor.alone(_step_s(earlier[0])))
     drift, white = _drift(table.time, alike, memory_s)
@@ -281,8 +326,28 @@ def _nominal_since(
         values[:, channel, 18 + channel] = _WIDE[4 + channel]
         values[:, channel, 24 + channel :: 6] = floor.std[channel] * drift
     floor = replace(floor, std=white * floor.std, alike=0.0)
-    plant = TablePlant(table, table.time - table.time[0], load, offset)
-    return plant, Columns(values, {}), floor, expected + offset
+    return load, values, floor, expected + offset
+
+
+def _left_by_map_and_jump(table: OrientationTable, variance: Array) -> tuple[Array, int]:
+    """Return what a map of gravity, w = A g + b, and a jump leave (n, 6), and degrees of freedom.
+
+    The jump is where it leaves least, each channel over its variance (6,). Nothing, (0, 6), of too
+    few readings to tell.
+    """
+    count = len(table)
+    found = np.zeros((0, 6)), 0
+    best = np.inf
+    for first in range(_LEAST_FREEDOM, count - 1):
+        columns = np.column_stack([table.gravity, np.ones(count), np.arange(count) >= first])
+        freedom = count - columns.shape[1] - 1
+        if freedom < _LEAST_FREEDOM or np.linalg.matrix_rank(columns) < columns.shape[1]:
+            continue
+        left = table.wrench - columns @ np.linalg.lstsq(columns, table.wrench, rcond=None)[0]
+        size = float(np.sum(left**2 / variance))
+        if size < best:
+            best, found = size, (left, freedom)
+    return found
 
 
 def _drift(time_s: Array, alike: float, memory_s: float) -> tuple[Array, float]:
@@ -326,27 +391,31 @@ def _memory(residual: Array, time_s: Array, which: np.ndarray) -> tuple[float, f
     return min(first * float(np.exp(1.0 / lag)), 0.99), lag * step_s
 
 
-def _nominal(table: OrientationTable, tool: CalibrationFile | None) -> tuple[TablePlant, Columns]:
-    assert table.time is not None
-    at_s = table.time - table.time[0]
+def _nominal(table: OrientationTable, tool: CalibrationFile | None) -> tuple[Load, Array, Array]:
+    """Return the load, how far nominal may be off, and nominal readings (n, 6)."""
     if tool is None:
-        moments, offset = plain_least_squares(table.gravity, table.wrench)
+        moments, _ = plain_least_squares(table.gravity, table.wrench)
         if not moments[0] > 0.0:
             raise GalenError(
                 f"{table.path}: the load would weigh {moments[0]:.3g} kg; does a push read"
                 " positive in the direction of the push?"
             )
         load = Load(float(moments[0]), moments[1:] / moments[0])
-        columns = _load_columns(table.gravity, _WIDE)
-    else:
-        loads = [Load(of.mass_kg, np.asarray(of.com_m)) for of in (tool.load, tool.adapter)]
-        total = loads[0].moments + loads[1].moments
-        load = Load(float(total[0]), total[1:] / total[0])
-        weight = TablePlant(table, at_s, load, np.zeros(6)).reading()
+        if table.rotation is not None:
+            # Fitted under a wrong direction of gravity it would be a wrong one.
+            with suppress(IdentificationError):
+                load = identify_single_load(
+                    *(table.gravity, table.wrench, [BaseInclination.name], table.rotation),
+                    arm=table.arm,
+                ).load.load
+        weight = gravity_wrench(table.gravity, load)
         offset = (table.wrench - weight).mean(axis=0)
-        only_constants = np.concatenate([np.zeros(4), _WIDE[4:]])
-        columns = _load_columns(table.gravity, only_constants)
-    return TablePlant(table, at_s, load, offset), columns
+        return load, _load_columns(table.gravity, _WIDE), weight + offset
+    loads = [Load(of.mass_kg, np.asarray(of.com_m)) for of in (tool.load, tool.adapter)]
+    weight = np.sum([gravity_wrench(table.gravity, one) for one in loads], axis=0)
+    offset = (table.wrench - weight).mean(axis=0)
+    only_constants = np.concatenate([np.zeros(4), _WIDE[4:]])
+    return loads[0], _load_columns(table.gravity, only_constants), weight + offset
 
 
 def _blocks(table: OrientationTable, *, apart: bool = False) -> tuple[np.ndarray, tuple[str, ...]]:
@@ -418,90 +487,3 @@ def _floor_of_readings(table: OrientationTable, noise: Array | None) -> Floor | 
     difference = table.wrench[twins[:, 0]] - table.wrench[twins[:, 1]]
     std = np.sqrt(np.mean(difference**2, axis=0) / 2.0)
     return Floor(std, 0.0, 1.0, f"{len(twins)} pairs of readings in the same pose")
-
-
-# A joint's runs
-
-_MOST_ROWS = 700
-_GAPS = np.geomspace(0.08, 2.2, 14)
-"""Thresholds of plays of the motion over half of the lag's range."""
-_APART_S = 1e4
-_VELOCITY_WINDOW_S = 0.1
-
-
-def prepare_joint(
-    runs: Sequence[JointRun], parts: Parts
-) -> tuple[BlockRows, Effects, tuple[str, ...]]:
-    """Return rows and effects of a joint's runs, and notes on how they were made.
-
-    Args:
-        runs: Angles at both ends, rad, torque, N.m, and time, s.
-        parts: Parts of the runs; a part is a block.
-
-    Returns:
-        Rows of one channel, the lag, rad; the ways in which effects show; sentences.
-
-    """
-    every = [np.ones(len(run), dtype=bool) for run in runs]
-    scales = Scales.of(runs, every, _VELOCITY_WINDOW_S)
-    gaps = scales.lag_half_range * _GAPS
-    terms = np.concatenate([design(run, scales) for run in runs])
-    lost = np.concatenate([_lost(run, gaps) for run in runs])
-    lag = np.concatenate([run.lag for run in runs])
-    torque_rate = np.concatenate([np.gradient(run.torque, run.time_s) for run in runs])
-    at_s = np.concatenate([run.time_s + k * _APART_S for k, run in enumerate(runs)])
-    label = np.concatenate(parts.label)
-    window, size = _windows(runs, label)
-    count = np.bincount(window)
-
-    def mean(values: Array) -> Array:
-        sums = np.zeros((len(count), *values.shape[1:]))
-        np.add.at(sums, window, values)
-        return sums / count.reshape(-1, *[1] * (values.ndim - 1))
-
-    noise = noise_of(list(runs))
-    floor = float(np.hypot(noise.quantisation, noise.jitter / np.sqrt(size)))
-    wide = 100.0 * scales.lag_half_range
-    residual = mean(lag)[:, None]
-    step_s = size * runs[0].step_s
-    span_s = sum(float(run.time_s[-1] - run.time_s[0]) for run in runs) / len(parts.names)
-    rows = BlockRows(
-        channels=("lag",),
-        units=("rad",),
-        residual=residual - residual.mean(),
-        floor=np.array([max(floor, 1e-9 * scales.lag_half_range)]),
-        at_s=mean(at_s),
-        block=np.round(mean(label.astype(float))).astype(int),
-        labels=parts.names,
-        memories_s=(2.0 * step_s, max(span_s / 10.0, 4.0 * step_s), span_s),
-    )
-    constant = Columns(wide * np.ones((len(residual), 1, 1)), {})
-    notes = (
-        f"{len(residual)} means over {size} readings of {len(runs)} runs",
-        "floor: encoders' steps and the lag's jitter",
-    )
-    column = dict(zip(TERMS, mean(terms).T, strict=True))
-    data = JointTerms(residual[:, 0], column, mean(torque_rate), mean(lost), gaps, scales)
-    ways = {name: record.in_joint_runs(data) for name, record in RECORDS.items()}
-    return rows, _shown(constant, ways), notes
-
-
-def _windows(runs: Sequence[JointRun], label: np.ndarray) -> tuple[np.ndarray, int]:
-    """Of each reading its window, which stays within a run and a part; readings in one."""
-    total = sum(len(run) for run in runs)
-    size = max(1, -(-total // _MOST_ROWS))
-    run_of = np.concatenate([np.full(len(run), k) for k, run in enumerate(runs)])
-    place = np.concatenate([np.arange(len(run)) for run in runs])
-    edges = [0, *(np.flatnonzero((np.diff(run_of) != 0) | (np.diff(label) != 0)) + 1), total]
-    window = np.zeros(total, dtype=int)
-    first = 0
-    for start, end in pairwise(edges):
-        window[start:end] = first + (place[start:end] - place[start]) // size
-        first = window[end - 1] + 1
-    return window, size
-
-
-def _lost(run: JointRun, thresholds: Array) -> Array:
-    """Return what each play of the motion leaves behind (n, p), rad; from amid the gap."""
-    motion = np.repeat((run.motor - run.motor[0])[:, None], len(thresholds), axis=1)
-    return np.asarray(motion - PlayOperators(thresholds).run(motion).output)
