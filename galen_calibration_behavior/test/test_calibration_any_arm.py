@@ -14,9 +14,9 @@ from galen_common.goal.procedure import MoveTo
 from galen_common.parameters import ParameterError
 from galen_model.arm.description import read_arm
 from galen_model.errors import GalenError, NotExcitedError
-from galen_model.evidence.verdict import CheckAnswer
 from galen_model.files.calibration_file import zeroed_at
 from galen_model.load.identification import identify_two_sweeps
+from galen_model.verdict import CheckAnswer
 from test_calibration_procedure import World, failed
 from test_check_procedure import Course
 

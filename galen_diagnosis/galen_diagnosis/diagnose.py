@@ -51,7 +51,6 @@ from galen_common.command import (
 from galen_model.arm.galen import GALEN, WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
-from galen_model.evidence.held_out import BlockRows, Effects
 from galen_model.files.calibration_file import read_calibration
 from galen_model.load.inertia import point_mass_inertia
 from galen_model.setup_check.check import SetupError, check_setup
@@ -94,8 +93,9 @@ from galen_diagnosis.report.report import (
     to_row,
     write_output,
 )
-from galen_diagnosis.tables.conclusion import diagnose_blocks
-from galen_diagnosis.tables.joint_runs import prepare_joint
+from galen_diagnosis.tables.joint_conclusion import diagnose_runs
+from galen_diagnosis.tables.joint_evidence import LagRows
+from galen_diagnosis.tables.joint_runs import rows_of_runs
 from galen_diagnosis.tables.orientations import table_recording
 
 Kind = Literal["recording", "table", "joint"]
@@ -570,7 +570,7 @@ def _tables(kind: Kind, arguments: argparse.Namespace, console: Console) -> int:
                 )
                 answer, draw = diagnosis.answer, partial(_draw, diagnosis)
             else:
-                answer = diagnose_blocks(_name(path), *_runs(arguments), progress=line.show)
+                answer = diagnose_runs(_name(path), _runs(arguments), line.show)
         write_output(
             answer,
             folder,
@@ -587,9 +587,9 @@ def _tables(kind: Kind, arguments: argparse.Namespace, console: Console) -> int:
     return _code(arguments, [answer.verdict for answer in answers])
 
 
-def _runs(arguments: argparse.Namespace) -> tuple[BlockRows, Effects, tuple[str, ...]]:
+def _runs(arguments: argparse.Namespace) -> LagRows:
     runs = read_joint_runs(arguments.inputs, joint_columns(arguments))
-    return prepare_joint(
+    return rows_of_runs(
         runs, whole_runs(runs) if len(runs) >= _RUNS else time_blocks(runs, _BLOCKS)
     )
 

@@ -115,7 +115,9 @@ def test_an_item_is_within_beyond_or_undecided():
 
 def test_a_recording_of_another_arm_is_no_reference():
     later, other = (
-        SimpleNamespace(name=name, arm=SimpleNamespace(joint_names=(joint,)), earlier=None)
+        SimpleNamespace(
+            name=name, arm=SimpleNamespace(joint_names=(joint,)), earlier=None, readings=None
+        )
         for name, joint in (("later", "tilt"), ("other", "elbow"))
     )
     with pytest.raises(GalenError, match=r"other: no reference of later.*elbow, not tilt"):

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from galen_bags.arrays.tables import OrientationTable
 from galen_diagnosis.diagnose import main as diagnose
+from galen_diagnosis.effects.joint_terms import Columns
 from galen_diagnosis.inference.diagnosing import diagnose_recording
 from galen_diagnosis.observation.observation import Observation
+from galen_diagnosis.tables.joint_evidence import BlockEvidence, LagRows
 from galen_diagnosis.tables.orientations import table_recording
 from galen_model.arm.galen import GRAVITY_M_S2
-from galen_model.evidence.held_out import BlockEvidence, BlockRows, Columns
 from galen_model.load.model import Load, gravity_wrench
 from galen_model.rotation import rotvec_to_matrix
 from scipy.stats import multivariate_normal
@@ -40,42 +41,37 @@ def pose_table(count=10, seed=3):
 def test_held_out_density_is_that_of_the_dense_gaussian():
     random = np.random.default_rng(0)
     count = 12
-    values = random.standard_normal((count, 2, 3))
-    rows = BlockRows(
-        channels=("a", "b"),
-        units=("N", "N"),
-        residual=3.0 * random.standard_normal((count, 2)),
-        floor=np.array([0.5, 2.0]),
+    values = random.standard_normal((count, 3))
+    nominal, way = Columns(values[:, :1]), Columns(values[:, 1:])
+    rows = LagRows(
+        residual=3.0 * random.standard_normal(count),
+        floor=0.5,
         at_s=np.arange(float(count)),
         block=np.repeat([0, 1, 2], 4),
         labels=("0", "1", "2"),
-        alike=0.6,
-        memory_s=2.0,
+        memories_s=(2.0,),
+        nominal=nominal,
+        effects={"e": (way,)},
     )
-    nominal = Columns(values[:, :, :1], {})
-    way = Columns(values[:, :, 1:], {})
-    evidence = BlockEvidence(rows, nominal)
+    evidence = BlockEvidence(rows)
     found = evidence.hypothesis(("e",), [(way,)], floor_only=False)
-    # the whole covariance of both channels' readings, weights of variance one
-    flat = (values / rows.floor[None, :, None]).transpose(1, 0, 2).reshape(2 * count, 3)
-    covariance = flat @ flat.T
-    for c, form in enumerate(found.forms):
-        for b in range(3):
-            of = np.flatnonzero(rows.block == b)
-            at = c * count + of
-            covariance[np.ix_(at, at)] += evidence.forms[form].covariance(rows, rows.at_s[of])
-    reading = (rows.residual / rows.floor).T.ravel()
-    everything = multivariate_normal(np.zeros(2 * count), covariance).logpdf(reading)
+    # the whole covariance of the readings, weights of variance one
+    scaled = values / rows.floor
+    covariance = scaled @ scaled.T
     for b in range(3):
-        others = np.flatnonzero(np.tile(rows.block != b, 2))
+        of = np.flatnonzero(rows.block == b)
+        covariance[np.ix_(of, of)] += evidence.forms[found.form].covariance(rows.at_s[of])
+    reading = rows.residual / rows.floor
+    everything = multivariate_normal(np.zeros(count), covariance).logpdf(reading)
+    for b in range(3):
+        others = np.flatnonzero(rows.block != b)
         part = multivariate_normal(np.zeros(len(others)), covariance[np.ix_(others, others)])
         assert found.elpd[b] == pytest.approx(everything - part.logpdf(reading[others]), abs=1e-6)
     # the best linear prediction of a block from the others is the conditional mean
-    held = np.flatnonzero(np.tile(rows.block == 1, 2))
-    others = np.flatnonzero(np.tile(rows.block != 1, 2))
+    held, others = (np.flatnonzero((rows.block == 1) == one) for one in (True, False))
     gain = np.linalg.solve(covariance[np.ix_(others, others)], covariance[np.ix_(others, held)]).T
     left = reading[held] - gain @ reading[others]
-    assert evidence.held_out(found)[rows.block == 1].T.ravel() == pytest.approx(left, abs=1e-8)
+    assert evidence.held_out(found)[held] == pytest.approx(left, abs=1e-8)
 
 
 def test_a_wrist_turns_as_the_table_says():

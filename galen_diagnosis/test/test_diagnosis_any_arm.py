@@ -6,6 +6,7 @@ import shutil
 import struct
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -95,10 +96,11 @@ def test_poses_keep_the_limits_and_gravity_comes_from_all_sides():
 
 
 def test_effects_are_sought_at_every_joint(healthy):
-    names = sought(ARM)
+    names = sought(SimpleNamespace(arm=ARM, readings=None))
     for joint in ARM.joint_names:
         assert {f"joint_zero_offset:{joint}", f"joint_gain:{joint}"} <= set(names)
-    assert "joint_zero_offset:roll" in sought(GALEN) and "joint_gain:roll" not in sought(GALEN)
+    on_galen = sought(SimpleNamespace(arm=GALEN, readings=None))
+    assert "joint_zero_offset:roll" in on_galen and "joint_gain:roll" not in on_galen
     forms = [one.label for one in candidates(Observation(read_recording(healthy)))
              if one.effect == "joint_axis_misalignment:wrist_2"]  # fmt: skip
     assert forms == ["x", "y"]  # about its own axis, z, is no turn

@@ -28,7 +28,7 @@ def test_every_simulated_effect_has_a_record():
 
 
 def test_an_effect_that_is_looked_for_shows_in_some_form():
-    for identity in sought(GALEN):
+    for identity in sought(SimpleNamespace(arm=GALEN, readings=None)):
         record = record_of(identity)
         hooks = (record.forms, record.columns, record.limits)
         assert record.jump is not None or any(hook is not no_forms for hook in hooks), identity

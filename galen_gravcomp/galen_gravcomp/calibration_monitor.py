@@ -32,7 +32,9 @@ import numpy as np
 from galen_model.arm.arm import Arm
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_ppf
-from galen_model.evidence.verdict import (
+from galen_model.files.calibration_file import CalibrationFile
+from galen_model.rest.windows import StillWindow, StillWindows
+from galen_model.verdict import (
     MESSAGES,
     Cause,
     Limits,
@@ -40,8 +42,6 @@ from galen_model.evidence.verdict import (
     load_text,
     wrench_text,
 )
-from galen_model.files.calibration_file import CalibrationFile
-from galen_model.rest.windows import StillWindow, StillWindows
 
 from galen_gravcomp.evidence import FitEvidence, Judgement, Segments
 from galen_gravcomp.setup_verification import SetupVerification

@@ -10,8 +10,8 @@ from galen_gravcomp.evidence import FitEvidence, Segments
 from galen_gravcomp.monitor import Monitor
 from galen_gravcomp.parameters import GravcompParameters
 from galen_model.arm.galen import GALEN
-from galen_model.evidence.verdict import Cause
 from galen_model.load.model import Load
+from galen_model.verdict import Cause
 from scipy.stats import multivariate_normal
 from untouched_arm import NO_TOOL, POINTER, RETRACTOR, START_NS, UntouchedArm, push, tool_file
 

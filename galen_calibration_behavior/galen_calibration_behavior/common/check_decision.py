@@ -44,7 +44,13 @@ from galen_model.calibrated.columns import moment_covariance
 from galen_model.distributions import chi2_isf, chi2_sf, noncentral_chi2_sf, normal_ppf
 from galen_model.estimation.evidence import chance
 from galen_model.estimation.least_squares import least_squares
-from galen_model.evidence.verdict import (
+from galen_model.files.calibration_file import CalibrationFile
+from galen_model.load.model import gravity_regressor, gravity_wrench
+from galen_model.load.mounting import Mounting
+from galen_model.load.readings import single_load_design
+from galen_model.poses.design import workspace
+from galen_model.rest.segments import PoseRecord
+from galen_model.verdict import (
     MESSAGES,
     Cause,
     CheckAnswer,
@@ -52,12 +58,6 @@ from galen_model.evidence.verdict import (
     load_text,
     wrench_text,
 )
-from galen_model.files.calibration_file import CalibrationFile
-from galen_model.load.model import gravity_regressor, gravity_wrench
-from galen_model.load.mounting import Mounting
-from galen_model.load.readings import single_load_design
-from galen_model.poses.design import workspace
-from galen_model.rest.segments import PoseRecord
 
 from galen_calibration_behavior.common.sweep import stack
 

@@ -18,7 +18,6 @@ from typing import Any, TypeVar
 import numpy as np
 from galen_bags.arrays.arm_recording import ArmRecording, read_arm, topics_of
 from galen_model.errors import CalibrationFileError, GalenError
-from galen_model.evidence.verdict import wrench_text
 from galen_model.files.atomic_file import write_whole
 from galen_model.files.calibration_file import (
     age_text,
@@ -27,6 +26,7 @@ from galen_model.files.calibration_file import (
 )
 from galen_model.load.identification import KnownLoad
 from galen_model.setup_check.stamps import check_stamps
+from galen_model.verdict import wrench_text
 
 from galen_calibration_behavior.calibration.estimate import (
     Calibration,

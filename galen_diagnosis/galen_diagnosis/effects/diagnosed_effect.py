@@ -15,7 +15,6 @@ import numpy as np
 from galen_bags.arrays.tables import OrientationTable
 from galen_model.arm.arm import Arm
 from galen_model.arrays import Array
-from galen_model.evidence.held_out import Columns
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.model import Load
 from galen_model.load.mounting import Mounting
@@ -24,8 +23,8 @@ from galen_sim_driver.effects.registry import contract_parameters
 from scipy.sparse import csc_array
 
 from galen_diagnosis.effects.candidates import Candidate, plain_form
+from galen_diagnosis.effects.joint_terms import Columns, JointTerms
 from galen_diagnosis.effects.jumps import Jump
-from galen_diagnosis.effects.table_data import JointTerms
 from galen_diagnosis.observation.observation import Observation
 from galen_diagnosis.observation.recording import DiagnosticRecording
 from galen_diagnosis.observation.rows import ResidualRows

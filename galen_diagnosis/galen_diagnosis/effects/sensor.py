@@ -26,7 +26,6 @@ from typing import Any
 import numpy as np
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
-from galen_model.evidence.held_out import Columns
 from galen_model.rotation import matrix_to_rotvec, rotvec_to_matrix
 from galen_sim_driver.effects import sensor as simulated
 from galen_sim_driver.effects.effect import Effect, Instants
@@ -41,7 +40,7 @@ from galen_diagnosis.effects.diagnosed_effect import (
     no_forms,
 )
 from galen_diagnosis.effects.general_shapes import SoftSaturation
-from galen_diagnosis.effects.table_data import DELAY_S, JointTerms, in_lag
+from galen_diagnosis.effects.joint_terms import DELAY_S, Columns, JointTerms, in_lag
 from galen_diagnosis.observation.observation import Observation
 from galen_diagnosis.observation.rows import BAGS
 

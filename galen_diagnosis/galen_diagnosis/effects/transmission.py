@@ -25,7 +25,6 @@ from typing import Any
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_model.evidence.held_out import Columns
 from galen_model.transmission import TORQUE_PLAYS
 from galen_sim_driver.effects.effect import Effect
 from galen_sim_driver.effects.hysteresis import (
@@ -39,7 +38,7 @@ from galen_sim_driver.effects.registry import contract_parameters
 from galen_diagnosis.effects.candidates import Candidate, floats, freed, plain_form
 from galen_diagnosis.effects.diagnosed_effect import DiagnosedEffect, MujocoParts
 from galen_diagnosis.effects.general_shapes import FrictionInJoints
-from galen_diagnosis.effects.table_data import DELAY_S, JointTerms, in_lag
+from galen_diagnosis.effects.joint_terms import DELAY_S, Columns, JointTerms, in_lag
 from galen_diagnosis.observation.observation import Observation
 
 _FRICTIONS = {"tip": "Bouc and Wen, at the tip", "joints": "Dahl, in the joints"}
@@ -66,7 +65,7 @@ def _spring_of_runs(terms: JointTerms) -> list[Columns]:
     def stiffness(w: Array) -> Array:
         return np.asarray(1.0 / (soft * max(w[0], _SOFTEST)))
 
-    column = soft * terms.column["spring"][:, None, None]
+    column = soft * terms.column["spring"][:, None]
     return [Columns(column, {"k": stiffness}, allowed=lambda w: bool(w[0] > 0.0))]
 
 

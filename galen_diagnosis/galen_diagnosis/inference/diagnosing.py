@@ -65,6 +65,7 @@ _LISTED, _WEIGHED = 0.05, 0.01
 _CLEAR = 5.0
 """Log of the odds from which on remaining structure is reported."""
 _LEAST_POSES = 4
+_NOISE_STEPS, _HARDLY_LESS = 5, 0.9
 
 
 @dataclass(frozen=True)
@@ -227,7 +228,37 @@ def diagnose_recording(
         recording = after(recording, known, tolerances, *numbers, fit)
     say = _part(say, len(references), len(references) + 1)
     say("reading against the nominal arm", 0.02)
-    return conclude(explore(recording, say), settings, say)
+    explored = explore(recording, say)
+    for _ in range(_NOISE_STEPS):
+        quieter = _less_noise(explored, settings)
+        if quieter is None:
+            break
+        explored = explore(quieter, say)
+    return conclude(explored, settings, say)
+
+
+def _less_noise(explored: Explored, settings: Settings) -> DiagnosticRecording | None:
+    """Return a table with the noise that its causes leave; None where that is hardly less.
+
+    Noise that nothing has measured is at first what no map of gravity explains.
+    """
+    recording = explored.observation.recording
+    fit = fit_of_causes(explored, settings)
+    if recording.readings is None or recording.readings.noise_known or not fit.parts:
+        return None
+    std, own = recording.readings.noise_std, explored.observation.unknown.shape[1]
+    left = explored.found.behind.left(fit.raw_rows).reshape(-1, 2, 3) * std.reshape(2, 3)
+    numbers = own + sum(len(values) for values in fit.values)
+    freedom = 3 * len(left) - 0.5 * numbers
+    if freedom < 3.0:
+        return None
+    square = np.sum(left**2, axis=(0, 2)) / freedom
+    less = np.minimum(std, np.repeat(np.sqrt(square), 3))
+    if np.all(less > _HARDLY_LESS * std):
+        return None
+    name, bag = next(iter(recording.bags.items()))
+    readings = replace(recording.readings, noise_std=less)
+    return replace(recording, bags={name: replace(bag, readings=readings)})
 
 
 def _part(say: Progress, number: int, parts: int, name: str = "") -> Progress:

@@ -49,7 +49,7 @@ _GAP_SEED, _PARAMETER_SEED = 20191, 1956
 class Gap:
     """before, after (N,): held-out rows; floor: mean square of noise; the closed fraction.
 
-    fraction is None where there is nothing to close: E_before isn't above the floor.
+    fraction is None where nothing is closed: without effects, or E_before isn't above the floor.
     """
 
     before: Array
@@ -129,6 +129,8 @@ def held_out_gap(
                 loads = np.linalg.lstsq(beyond[:, seen], everywhere[out], rcond=None)[0]
                 everywhere[out] -= beyond[:, seen] @ loads
         after[out] = everywhere[out]
+    if not hypothesis.parts:
+        return Gap(before, after, floor, None)
     return Gap(before, after, floor, closed_fraction(rows, before, after, floor))
 
 

@@ -81,14 +81,15 @@ class Readings:
     """What is known of a table's n readings, each of which stands for itself.
 
     block (n,): readings that are held out together, numbered; labels: of the blocks. noise_std
-    (6,), N and N.m, of a reading. unknowns (n, 6, k): what is no gap, in readings by weights of
-    about one. hidden: by effect, why it can't be seen. notes: how they were made. earlier: names
-    of the tables that what is nominal is from.
+    (6,), N and N.m, of a reading; noise_known: by measurement. unknowns (n, 6, k): what is no gap,
+    in readings by weights of about one. hidden: by effect, why it can't be seen. notes: how they
+    were made. earlier: names of the tables that what is nominal is from.
     """
 
     block: np.ndarray
     labels: tuple[str, ...]
     noise_std: Array
+    noise_known: bool
     unknowns: Array
     hidden: Mapping[str, str]
     notes: tuple[str, ...] = ()

@@ -408,10 +408,10 @@ def sentence(answer: Answer) -> str:
             return f"Unchanged since {since} but for {name}, probability {chance}."
         return f"Within specification ({name}), probability {chance}.{_made_of(answer)}"
     if answer.verdict == UNKNOWN:
-        chance, nearest = chances.get(UNKNOWN, 0.0), _best_of_list(answer)
-        text = f"There is a gap that no effect on the list explains{nearest}"
-        if chance >= _HALF:
-            text += f", probability {probability_words(chance)}."
+        text = f"There is a gap that no effect on the list explains{_best_of_list(answer)}"
+        unlisted = chances.get(UNKNOWN, 0.0)
+        if unlisted >= _HALF:
+            text += f", probability {probability_words(unlisted)}."
         else:
             text += ": what fits best doesn't hold on readings that its fit hasn't seen."
         if answer.remaining:

@@ -8,17 +8,17 @@ plays, velocity and direction are those of `galen_model.transmission`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
 from galen_model.arrays import Array
-from galen_model.evidence.held_out import BlockRows, Columns, Effects
 from galen_model.play import PlayOperators
 from galen_model.transmission import TERMS, JointRun, Parts, Scales, design, noise_of
 
+from galen_diagnosis.effects.joint_terms import Columns, JointTerms
 from galen_diagnosis.effects.registry import RECORDS
-from galen_diagnosis.effects.table_data import JointTerms
+from galen_diagnosis.tables.joint_evidence import LagRows
 
 _MOST_ROWS = 700
 _GAPS = np.geomspace(0.08, 2.2, 14)
@@ -27,17 +27,15 @@ _APART_S = 1e4
 _VELOCITY_WINDOW_S = 0.1
 
 
-def prepare_joint(
-    runs: Sequence[JointRun], parts: Parts
-) -> tuple[BlockRows, Effects, tuple[str, ...]]:
-    """Return rows and effects of a joint's runs, and notes on how they were made.
+def rows_of_runs(runs: Sequence[JointRun], parts: Parts) -> LagRows:
+    """Return means of the lag of a joint's runs, and how effects show in them.
 
     Args:
         runs: Angles at both ends, rad, torque, N.m, and time, s.
         parts: Parts of the runs; a part is a block.
 
     Returns:
-        Rows of one channel, the lag, rad; the ways in which effects show; sentences.
+        The lag, rad; the ways in which effects show; sentences.
 
     """
     every = [np.ones(len(run), dtype=bool) for run in runs]
@@ -60,28 +58,34 @@ def prepare_joint(
     noise = noise_of(list(runs))
     floor = float(np.hypot(noise.quantisation, noise.jitter / np.sqrt(size)))
     wide = 100.0 * scales.lag_half_range
-    residual = mean(lag)[:, None]
+    residual = mean(lag)
     step_s = size * runs[0].step_s
     span_s = sum(float(run.time_s[-1] - run.time_s[0]) for run in runs) / len(parts.names)
-    rows = BlockRows(
-        channels=("lag",),
-        units=("rad",),
+    column = dict(zip(TERMS, mean(terms).T, strict=True))
+    data = JointTerms(residual, column, mean(torque_rate), mean(lost), gaps, scales)
+    of: dict[str, Sequence[Columns]] = {}
+    cannot_tell = []
+    for name, record in RECORDS.items():
+        found = record.in_joint_runs(data)
+        if isinstance(found, str):
+            cannot_tell.append(f"{name}: {found}")
+        elif found:
+            of[name] = found
+    return LagRows(
         residual=residual - residual.mean(),
-        floor=np.array([max(floor, 1e-9 * scales.lag_half_range)]),
+        floor=max(floor, 1e-9 * scales.lag_half_range),
         at_s=mean(at_s),
         block=np.round(mean(label.astype(float))).astype(int),
         labels=parts.names,
         memories_s=(2.0 * step_s, max(span_s / 10.0, 4.0 * step_s), span_s),
+        nominal=Columns(np.full((len(residual), 1), wide)),
+        effects=of,
+        cannot_tell=tuple(cannot_tell),
+        notes=(
+            f"{len(residual)} means over {size} readings of {len(runs)} runs",
+            "floor: encoders' steps and the lag's jitter",
+        ),
     )
-    constant = Columns(wide * np.ones((len(residual), 1, 1)), {})
-    notes = (
-        f"{len(residual)} means over {size} readings of {len(runs)} runs",
-        "floor: encoders' steps and the lag's jitter",
-    )
-    column = dict(zip(TERMS, mean(terms).T, strict=True))
-    data = JointTerms(residual[:, 0], column, mean(torque_rate), mean(lost), gaps, scales)
-    ways = {name: record.in_joint_runs(data) for name, record in RECORDS.items()}
-    return rows, _shown(constant, ways), notes
 
 
 def _windows(runs: Sequence[JointRun], label: np.ndarray) -> tuple[np.ndarray, int]:
@@ -103,16 +107,3 @@ def _lost(run: JointRun, thresholds: Array) -> Array:
     """Return what each play of the motion leaves behind (n, p), rad; from amid the gap."""
     motion = np.repeat((run.motor - run.motor[0])[:, None], len(thresholds), axis=1)
     return np.asarray(motion - PlayOperators(thresholds).run(motion).output)
-
-
-def _shown(nominal: Columns, ways: Mapping[str, Sequence[Columns] | str]) -> Effects:
-    """Return the effects that show, and sentences on those that can't; ways: or why they can't."""
-    of: dict[str, Sequence[Columns]] = {}
-    cannot: dict[str, list[str]] = {}
-    for name, found in ways.items():
-        if isinstance(found, str):
-            cannot.setdefault(found, []).append(name)
-        elif found:
-            of[name] = found
-    reasons = (f"{', '.join(names)}: {reason}" for reason, names in cannot.items())
-    return Effects(nominal, of, tuple(reasons))

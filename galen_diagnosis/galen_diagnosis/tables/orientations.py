@@ -45,6 +45,8 @@ from galen_diagnosis.observation.specification import DEFAULT, Specification, sp
 
 _FEWEST_BLOCKS = 4
 _LEAST_FREEDOM = 2
+_MOST_NOISE = 0.1
+"""Of how forces change: what is more is not taken for noise."""
 _MANY = 20
 """Readings from which on a map of ten numbers is fitted to a channel."""
 _MAPPED = "gravity", "wrench"
@@ -162,7 +164,9 @@ def table_recording(
         if (reason := record.hidden_in_table(averaged, known_load))
     }
     names = tuple(Path(one.path).stem for one in references)
-    readings = Readings(block, labels, floor.std, unknowns, hidden, tuple(notes), names)
+    readings = Readings(
+        block, labels, floor.std, not problems, unknowns, hidden, tuple(notes), names
+    )
     wrench = file.predict(arm.angles(joints)) + residual
     bag = BagData("sweep", 0.0, at_s, joints, at_s, wrench, None, None, readings)
     name = Path(table.path).stem
@@ -215,6 +219,9 @@ def _floor_of_a_map(table: OrientationTable) -> Floor:
     left = table.wrench - design @ np.linalg.lstsq(design, table.wrench, rcond=None)[0]
     freedom = max(len(table) - int(np.linalg.matrix_rank(design)), 1)
     std = np.sqrt(np.sum(left**2, axis=0) / freedom)
+    changes = np.std(table.wrench[:, :3], axis=0)
+    most = _MOST_NOISE * float(np.linalg.norm(changes))
+    std *= min(1.0, most / max(float(np.linalg.norm(std[:3])), 1e-300))
     return Floor(std, 0.0, 1.0, f"what a linear map of {words} leaves of each channel")
 
 

@@ -25,12 +25,12 @@ from galen_model.distributions import chi2_sf
 from galen_model.errors import IdentificationError, NotExcitedError
 from galen_model.estimation.least_squares import Information, least_squares
 from galen_model.estimation.problem import Fit, Problem
-from galen_model.evidence.verdict import Cause, Limits, Verdict
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.identifiability import LOAD_PARAMETERS, check_excitation
 from galen_model.load.model import gravity_regressor
 from galen_model.load.readings import with_offsets
 from galen_model.rest.binned import StillPhases
+from galen_model.verdict import Cause, Limits, Verdict
 
 from galen_gravcomp.evaluate.report import by_axis
 

@@ -1,25 +1,35 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What records need of a table: of orientations, or of a joint with encoders at both ends.
-
-A table of orientations holds gravity in the sensor and, perhaps, the sensor's rotation in its base;
-no joints. Effects of geometry, load and sensor are the simulator's own: those hooks that need no
-joints are called as the replay calls them (`galen_sim_driver.replay`), and differences give the
-columns,
-
-    reading = read(W(tool_load(load); R^T gravity(g))).
-"""
+"""What records need of a joint with encoders at both ends, and how they show in its lag."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+import numpy as np
 from galen_model.arrays import Array
-from galen_model.evidence.held_out import Columns
 from galen_model.transmission import Scales
 
 DELAY_S = 0.005
 """Usual delay of a stamp."""
+
+
+@dataclass(frozen=True)
+class Columns:
+    """One way in which an effect shows: k columns and what their weights mean.
+
+    values (n, k), rad: what the lag gains by a weight of one; weights are about one. parameters: by
+    the contract's name, from weights (k,) to the number. allowed: whether weights are this effect.
+    """
+
+    values: Array
+    parameters: Mapping[str, Callable[[Array], Array]] = field(default_factory=dict)
+    allowed: Callable[[Array], bool] = lambda weights: True
+
+    @property
+    def size(self) -> int:
+        """How many columns."""
+        return int(self.values.shape[1])
 
 
 @dataclass(frozen=True)
@@ -55,8 +65,8 @@ def in_lag(
         positive: Whether only weights with a parameter above 0 are allowed.
 
     Returns:
-        Columns of one channel.
+        The columns.
 
     """
     allowed = (lambda w: bool(size(w) > 0.0)) if positive else (lambda w: True)
-    return Columns(values.reshape(len(values), 1, -1), {name: size}, allowed=allowed)
+    return Columns(np.reshape(values, (len(values), -1)), {name: size}, allowed)
