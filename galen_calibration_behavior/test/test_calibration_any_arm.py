@@ -16,7 +16,7 @@ from galen_model.arm.description import read_arm
 from galen_model.errors import GalenError, NotExcitedError
 from galen_model.files.calibration_file import zeroed_at
 from galen_model.load.identification import identify_two_sweeps
-from galen_model.verdict import CheckAnswer
+from galen_model.load.verdict import CheckAnswer
 from test_calibration_procedure import World, failed
 from test_check_procedure import Course
 

@@ -14,7 +14,7 @@ from galen_calibration_behavior.common.commands import CheckCode as ErrorCode
 from galen_calibration_behavior.ros.check import format_result, parse, result_fields
 from galen_calibration_behavior.ros.node import CalibrationNode
 from galen_model.files.calibration_file import write_calibration
-from galen_model.verdict import Cause, CheckAnswer
+from galen_model.load.verdict import Cause, CheckAnswer
 from galen_ros.messages import LATCHED
 from galen_ros.node.testing import Harness, parameters
 from rclpy.action import ActionClient

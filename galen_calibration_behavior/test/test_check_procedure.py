@@ -14,7 +14,7 @@ from galen_calibration_behavior.quick_check.procedure import CheckProcedure
 from galen_common.goal.procedure import MoveTo, Stop
 from galen_model.arm.clearance import ArmClearance, boxes_from_numbers
 from galen_model.arm.galen import GALEN
-from galen_model.verdict import CheckAnswer
+from galen_model.load.verdict import CheckAnswer
 
 BOX = (0.721, -0.003, 0.304, 0.768, 0.111, 0.352)
 START = np.array([0.02, -0.01, 0.41, 0.3, -0.2])

@@ -11,10 +11,10 @@ from galen_calibration_behavior.quick_check.procedure import plan_check
 from galen_model.arm.galen import GALEN
 from galen_model.load.cable import LearnedPull
 from galen_model.load.model import ADAPTER, TOOLS, Load, gravity_wrench, nominal_reading
+from galen_model.load.verdict import Cause, CheckAnswer
 from galen_model.poses.design import PoseDesign, PoseDesignError
 from galen_model.poses.plan import Surroundings, SweepTimes
 from galen_model.rest.segments import PoseRecord
-from galen_model.verdict import Cause, CheckAnswer
 
 from galen_msgs.action import CheckTool
 

@@ -352,8 +352,9 @@ def _add_specification(parser: argparse.ArgumentParser) -> None:
         default=(),
         metavar="FILE|PRESET",
         help="limits of what is healthy for this arm and its sensor, by effect; the first comes"
-        f" before the others (default: the recording's {SPECIFICATION_FILE}; without one"
-        f" {CALIBRATED} for the Galen, {DEFAULT} for other arms). Presets: {', '.join(presets())}",
+        f" before the others (default: a recording's {SPECIFICATION_FILE}; without one"
+        f" {CALIBRATED} for the Galen, {DEFAULT} for other arms and tables). Presets:"
+        f" {', '.join(presets())}",
     )
     parser.add_argument(
         "--show-specification",

@@ -33,8 +33,7 @@ from galen_model.arm.arm import Arm
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_ppf
 from galen_model.files.calibration_file import CalibrationFile
-from galen_model.rest.windows import StillWindow, StillWindows
-from galen_model.verdict import (
+from galen_model.load.verdict import (
     MESSAGES,
     Cause,
     Limits,
@@ -42,6 +41,7 @@ from galen_model.verdict import (
     load_text,
     wrench_text,
 )
+from galen_model.rest.windows import StillWindow, StillWindows
 
 from galen_gravcomp.evidence import FitEvidence, Judgement, Segments
 from galen_gravcomp.setup_verification import SetupVerification

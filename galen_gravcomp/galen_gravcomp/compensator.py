@@ -24,7 +24,7 @@ from galen_model.arrays import Array
 from galen_model.calibrated.prediction import Prediction
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import CalibrationFile
-from galen_model.verdict import Limits
+from galen_model.load.verdict import Limits
 
 from galen_gravcomp.block import BlockResult, push_block
 from galen_gravcomp.calibration_monitor import CalibrationMonitor

@@ -62,7 +62,7 @@ from galen_model.estimation.evidence import (
 from galen_model.estimation.least_squares import Information
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.readings import single_load_design
-from galen_model.verdict import Cause
+from galen_model.load.verdict import Cause
 
 _LOAD, _OFFSET, _DRIFT, _SAG = slice(0, 4), slice(4, 10), slice(10, 16), 16
 _COUNT = 17

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from galen_common.parameters import ParameterError, param
 from galen_common.stream.pairing import StreamParameters
-from galen_model.verdict import Limits
+from galen_model.load.verdict import Limits
 
 _MOTIONS = ("off", "joints", "imu")
 _SETUP_CHECKS = ("stop", "wait", "off")

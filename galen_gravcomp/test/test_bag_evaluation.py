@@ -12,7 +12,7 @@ from galen_gravcomp.evaluate.bag import EvaluationSettings, evaluate_bag
 from galen_gravcomp.evaluate.bag_report import to_json
 from galen_gravcomp.parameters import GravcompParameters
 from galen_model.arm.galen import SENSOR
-from galen_model.verdict import Cause
+from galen_model.load.verdict import Cause
 from gravcomp_bags import Recording, tool_file
 
 

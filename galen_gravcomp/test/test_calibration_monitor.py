@@ -11,7 +11,7 @@ from galen_gravcomp.monitor import Monitor
 from galen_gravcomp.parameters import GravcompParameters
 from galen_model.arm.galen import GALEN
 from galen_model.load.model import Load
-from galen_model.verdict import Cause
+from galen_model.load.verdict import Cause
 from scipy.stats import multivariate_normal
 from untouched_arm import NO_TOOL, POINTER, RETRACTOR, START_NS, UntouchedArm, push, tool_file
 

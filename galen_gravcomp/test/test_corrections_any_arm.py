@@ -19,7 +19,7 @@ from galen_model.arm.description import read_arm
 from galen_model.arm.galen import SENSOR
 from galen_model.load.cable import LearnedPull
 from galen_model.load.mounting import Mounting
-from galen_model.verdict import Cause
+from galen_model.load.verdict import Cause
 from motion_tape import MS, START_NS, measured, readings, swing, tool_file
 
 URDF = (Path(__file__).parents[2] / "galen_bringup/urdf/six_axis.urdf").read_text()

@@ -11,8 +11,8 @@ from galen_gravcomp.evaluate.command import main
 from galen_gravcomp.evaluate.drift import allan_deviation, judge_drift
 from galen_gravcomp.evaluate.drift_series import series_of
 from galen_model.errors import GalenError
+from galen_model.load.verdict import Limits
 from galen_model.rest.binned import CellReducer, Cells
-from galen_model.verdict import Limits
 
 UNITS = np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.02])
 

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from galen_gravcomp.evaluate.residual import decompose, find_change, judge
 from galen_model.arm.galen import SENSOR
+from galen_model.load.verdict import Cause, Limits
 from galen_model.rest.binned import StillPhases
-from galen_model.verdict import Cause, Limits
 from gravcomp_bags import START_NS, tool_file
 
 LIMITS = Limits()

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 from fake_suite import ACTIVE, ALL, BROKEN, CALIBRATION_READY, COMPENSATING, POINTER, FakeSuite
-from galen_model.verdict import CheckAnswer
+from galen_model.load.verdict import CheckAnswer
 from galen_panel.messages.steps import current, steps
 from galen_panel.page import guide
 from galen_panel.state.snapshot import (

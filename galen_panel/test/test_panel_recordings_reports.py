@@ -239,7 +239,7 @@ def test_each_verdict_has_words():
     from typing import get_args
 
     from galen_diagnosis.answer.answer import Verdict
-    from galen_model.verdict import Cause
+    from galen_model.load.verdict import Cause
 
     folder = Path(__file__).resolve().parents[2] / "galen_gravcomp/galen_gravcomp/evaluate"
     judged = {name for path in folder.glob("*.py")

@@ -48,9 +48,7 @@ from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.model import gravity_regressor, gravity_wrench
 from galen_model.load.mounting import Mounting
 from galen_model.load.readings import single_load_design
-from galen_model.poses.design import workspace
-from galen_model.rest.segments import PoseRecord
-from galen_model.verdict import (
+from galen_model.load.verdict import (
     MESSAGES,
     Cause,
     CheckAnswer,
@@ -58,6 +56,8 @@ from galen_model.verdict import (
     load_text,
     wrench_text,
 )
+from galen_model.poses.design import workspace
+from galen_model.rest.segments import PoseRecord
 
 from galen_calibration_behavior.common.sweep import stack
 

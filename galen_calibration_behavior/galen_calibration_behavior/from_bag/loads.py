@@ -25,8 +25,8 @@ from galen_model.files.calibration_file import (
     read_calibration,
 )
 from galen_model.load.identification import KnownLoad
+from galen_model.load.verdict import wrench_text
 from galen_model.setup_check.stamps import check_stamps
-from galen_model.verdict import wrench_text
 
 from galen_calibration_behavior.calibration.estimate import (
     Calibration,

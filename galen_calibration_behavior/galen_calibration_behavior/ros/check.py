@@ -11,7 +11,7 @@ from typing import Any
 
 from galen_common.command import EXIT_OK, make_parser, own_arguments, whole
 from galen_model.arm.galen import WRENCH_AXES
-from galen_model.verdict import Cause, CheckAnswer
+from galen_model.load.verdict import Cause, CheckAnswer
 from galen_ros.goal.client import (
     GoalClient,
     add_client_options,

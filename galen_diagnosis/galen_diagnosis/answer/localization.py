@@ -84,6 +84,9 @@ def localize(
         ("bags", rows.bag, BAGS),
         ("regimes", rows.regime, REGIMES),
     ):
+        if rows.labels and name != "channels":  # a table's readings are of one kind
+            found[name] = {}
+            continue
         view = _by_names(index, names)
         share, ratio, p = cell_scores(rows, residual, view, floor, healthy)
         found[name] = _numbers(view, share)

@@ -170,8 +170,9 @@ def gap_figure(diagnosis: Diagnosis) -> plt.Figure:
             at = channels.index(one["channel"]), columns.index((one["bag"], one["regime"]))
             values[at], marked[at] = np.sqrt(square), chance < LEVEL
         _draw_cells(axis, values, marked, LogNorm(1.0, top))
-        axis.set_title(f"{state}: {rms:.2f} × noise over all", fontsize=12)
-        names = [f"{bag}\n{regime}" for bag, regime in columns]
+        axis.set_title(f"{state}: {rms:.2f} × noise", fontsize=12)
+        of_table = bool(diagnosis.rows.labels)
+        names = ["readings"] if of_table else [f"{bag}\n{regime}" for bag, regime in columns]
         axis.set_xticks(range(len(columns)), names, fontsize=8, rotation=45)
         for row in range(1, len(channels)):
             if group_of(channels[row]) != group_of(channels[row - 1]):

@@ -69,7 +69,7 @@ _RATE_PER_S = _axes(0.9, 0.02) / _S_PER_H
 # The random walk's density: 0.05 N in an hour.
 _WALK_PER_SQRT_S = _axes(0.05, 0.001) / np.sqrt(_S_PER_H)
 # How well a file fits: load (4,), kg and kg.m, and pose, together the 0.05 N and 2 mN.m up to which
-# a file fits (`galen_model.verdict.Limits`).
+# a file fits (`galen_model.load.verdict.Limits`).
 _LOAD_STD = np.array([0.004, 2e-4, 2e-4, 2e-4])
 _POSE_STD = _axes(0.03, 0.0015)
 # Of b: when nothing was tared; at the most.

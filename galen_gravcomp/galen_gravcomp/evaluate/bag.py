@@ -35,10 +35,10 @@ from galen_common.stream.samples import Notice
 from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.files.calibration_file import CalibrationFile
+from galen_model.load.verdict import Cause, Limits, Verdict
 from galen_model.rest.binned import CELL_S, CellReducer, Cells, StillPhases, find_still_phases
 from galen_model.setup_check.check import check_setup
 from galen_model.setup_check.readings import at_angles
-from galen_model.verdict import Cause, Limits, Verdict
 
 from galen_gravcomp.compensator import Compensator
 from galen_gravcomp.corrections.inertial import inertia_source

@@ -12,7 +12,7 @@ import numpy as np
 from galen_bags.arrays.timeline import StampReport
 from galen_common.stream.samples import Notice
 from galen_model.arm.galen import WRENCH_AXES
-from galen_model.verdict import Cause
+from galen_model.load.verdict import Cause
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table

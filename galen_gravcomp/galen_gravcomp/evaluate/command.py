@@ -35,8 +35,8 @@ from galen_model.arm.galen import GALEN
 from galen_model.errors import CalibrationFileError, GalenError, IdentificationError
 from galen_model.files.calibration_file import calibration_path, read_calibration, write_calibration
 from galen_model.load.mounting import entities
+from galen_model.load.verdict import Limits
 from galen_model.setup_check.check import SetupError
-from galen_model.verdict import Limits
 from rich.markup import escape
 
 from galen_gravcomp.evaluate.bag import BagJob, EvaluationSettings

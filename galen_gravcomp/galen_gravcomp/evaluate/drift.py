@@ -30,7 +30,7 @@ from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.distributions import chi2_ppf
 from galen_model.errors import GalenError
-from galen_model.verdict import Limits
+from galen_model.load.verdict import Limits
 from rich.table import Table
 
 from galen_gravcomp.evaluate.drift_series import DriftSeries

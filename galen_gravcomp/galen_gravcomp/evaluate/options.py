@@ -21,7 +21,7 @@ from galen_common.command import (
 )
 from galen_common.parameters import add_options
 from galen_model.arm.galen import GRAVITY_M_S2
-from galen_model.verdict import Limits
+from galen_model.load.verdict import Limits
 
 from galen_gravcomp.evaluate.drift_series import CELL_S
 from galen_gravcomp.parameters import GravcompParameters

@@ -29,8 +29,8 @@ from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.identifiability import LOAD_PARAMETERS, check_excitation
 from galen_model.load.model import gravity_regressor
 from galen_model.load.readings import with_offsets
+from galen_model.load.verdict import Cause, Limits, Verdict
 from galen_model.rest.binned import StillPhases
-from galen_model.verdict import Cause, Limits, Verdict
 
 from galen_gravcomp.evaluate.report import by_axis
 

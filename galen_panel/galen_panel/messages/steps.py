@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from galen_model.verdict import CheckAnswer
+from galen_model.load.verdict import CheckAnswer
 
 from galen_panel.messages import programs, texts
 from galen_panel.messages.advice import REJECTED

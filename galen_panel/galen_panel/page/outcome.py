@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from galen_model.verdict import TARE_COMMAND, Cause, CheckAnswer
+from galen_model.load.verdict import TARE_COMMAND, Cause, CheckAnswer
 from nicegui import ui
 
 from galen_panel.messages import programs, texts
