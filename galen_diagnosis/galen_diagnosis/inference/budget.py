@@ -118,6 +118,17 @@ def budget(
         without = _shares(observation, together, best, fewer, floor)
         if without is not None and without[-1].value < shares[-1].value + _AS_GOOD:
             parts, shares = fewer, without
+    # Of few readings effects together may predict others worse than none does.
+    while shares[-1].value > 1.0 and any(not np.any(part.change) for part in parts):
+        least = min(
+            (k for k, part in enumerate(parts) if not np.any(part.change)),
+            key=lambda k: shares[k].value,
+        )
+        parts = [part for k, part in enumerate(parts) if k != least]
+        without = _shares(observation, together, best, parts, floor)
+        if without is None:
+            return ()
+        shares = without
     generator = np.random.default_rng(_SEED)
     items = []
     for part, share in zip(parts, shares, strict=False):

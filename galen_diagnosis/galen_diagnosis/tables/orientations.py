@@ -73,7 +73,10 @@ _NO_FLOOR = (
 
 @dataclass(frozen=True)
 class Floor:
-    """Noise of a row (6,), and how it correlates (`BlockRows`); where it is from."""
+    """Noise of a reading (6,), and how it goes on: correlation alike exp(-dt / memory_s).
+
+    source: where it is from.
+    """
 
     std: Array
     alike: float
@@ -164,8 +167,10 @@ def table_recording(
         if (reason := record.hidden_in_table(averaged, known_load))
     }
     names = tuple(Path(one.path).stem for one in references)
+    # Neighbours that go together are worth less than as many independent ones.
+    noise_std = floor.std / np.sqrt(floor.alone(_step_s(averaged)))
     readings = Readings(
-        block, labels, floor.std, not problems, unknowns, hidden, tuple(notes), names
+        block, labels, noise_std, not problems, unknowns, hidden, tuple(notes), names
     )
     wrench = file.predict(arm.angles(joints)) + residual
     bag = BagData("sweep", 0.0, at_s, joints, at_s, wrench, None, None, readings)

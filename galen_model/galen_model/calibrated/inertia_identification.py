@@ -42,6 +42,7 @@ from galen_model.arrays import Array
 from galen_model.calibrated.columns import moment_covariance
 from galen_model.distributions import chi2_sf
 from galen_model.errors import IdentificationError, NotExcitedError
+from galen_model.estimation.least_squares import Information
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.inertia import INERTIA_NAMES, InertiaEstimate, inertial_regressor
 from galen_model.load.model import gravity_regressor
@@ -355,25 +356,44 @@ def _fit(record: MotionRecord, block: np.ndarray, prior: Array, known: Array) ->
     free = np.arange(_PARAMETERS) != _LAG
     values, sigma = known.copy(), np.ones(6)
     sigma[3:] = 0.02
+    edges = np.flatnonzero(np.diff(block)) + 1
     for step in range(_ITERATIONS + 1):
         if step:
             shape = np.gradient(weight @ values[:10], record.time_s, axis=0)
             # Blocks that were left out leave gaps in time, over which there is no derivative.
             design[..., _LAG] = np.where(_joined(record.time_s)[:, None], -shape, 0.0)
             free[_LAG] = bool(np.any(design[..., _LAG]))
-        values, information = _solve(design, record.wrench, sigma, inside, known, free)
+        sums = _sums(design, record.wrench, edges)
+        whole = _weighted(sums, sigma).total()
+        information = whole.matrix + inside
+        inverse = np.zeros((_PARAMETERS, _PARAMETERS))
+        inverse[np.ix_(free, free)] = _inverse(information[np.ix_(free, free)])
+        values = inverse @ (whole.right + inside @ known)
         residuals = record.wrench - design @ values
         sigma = _noise(residuals)
-    _, information = _solve(design, record.wrench, sigma, inside, known, free)
-    rows = np.einsum("nkp,nk->np", design / sigma[None, :, None] ** 2, residuals)
-    _, index = np.unique(block, return_inverse=True)
-    sums = np.zeros((index.max() + 1, _PARAMETERS))
-    np.add.at(sums, index, rows)
-    blocks = len(sums)
-    inverse = np.zeros((_PARAMETERS, _PARAMETERS))
+    blocks = _weighted(sums, sigma)
+    information = blocks.total().matrix + inside
     inverse[np.ix_(free, free)] = _inverse(information[np.ix_(free, free)])
-    middle = sums.T @ sums * blocks / max(blocks - _PARAMETERS, 1) + inside
+    scores = blocks.right - blocks.matrix @ values
+    count = len(scores)
+    middle = scores.T @ scores * count / max(count - _PARAMETERS, 1) + inside
     return _Fitted(values, inverse @ middle @ inverse, information, residuals, sigma)
+
+
+def _sums(design: Array, wrench: Array, edges: np.ndarray) -> Information:
+    """Sum up each channel's rows of each block, which begin at 0 and edges: (6, blocks)."""
+    channels = [
+        Information.of_blocks(
+            zip(np.split(design[:, k], edges), np.split(wrench[:, k], edges), strict=True)
+        )
+        for k in range(6)
+    ]
+    return Information(*map(np.stack, zip(*channels, strict=True)))
+
+
+def _weighted(sums: Information, sigma: Array) -> Information:
+    """Return the channels' sums (6, blocks) together, by their noise (6,): (blocks,)."""
+    return Information(*(np.tensordot(sigma**-2.0, part, axes=1) for part in sums))
 
 
 def _noise(residuals: Array) -> Array:
@@ -392,17 +412,6 @@ def _noise(residuals: Array) -> Array:
             break
         times += np.where(alive, 2.0 * correlation, 0.0)
     return np.asarray(np.sqrt(spread * times))
-
-
-def _solve(
-    design: Array, wrench: Array, sigma: Array, inside: Array, known: Array, free: np.ndarray
-) -> tuple[Array, Array]:
-    rows = (design / sigma[None, :, None]).reshape(-1, _PARAMETERS)
-    information = rows.T @ rows + inside
-    right = rows.T @ (wrench / sigma).reshape(-1) + inside @ known
-    values = np.zeros(_PARAMETERS)
-    values[free] = _inverse(information[np.ix_(free, free)]) @ right[free]
-    return values, information
 
 
 def _inverse(information: Array) -> Array:
