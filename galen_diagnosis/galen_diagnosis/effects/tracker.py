@@ -3,12 +3,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
+
 import numpy as np
 from galen_sim_driver.effects.sensor import BaseShift, TrackerDelay, TrackerScale
 
+from galen_diagnosis.effects.candidates import Candidate, plain_form
 from galen_diagnosis.effects.diagnosed_effect import DiagnosedEffect, no_forms
 from galen_diagnosis.effects.jumps import Jump
-from galen_diagnosis.observation.observation import UNKNOWNS
+from galen_diagnosis.observation.observation import UNKNOWNS, Observation
+
+_LONG_S = 0.1
+
+
+def _delays(_: Observation, effect: TrackerDelay) -> Iterator[Candidate]:
+    """Yield a short delay, and one of about _LONG_S, over which pushes come and go.
+
+    How likely that is linearly, and where its fit begins, is by a difference of this size.
+    """
+    short = plain_form(effect)
+    yield short
+    yield replace(
+        plain_form(effect, "long"),
+        probe=np.array([_LONG_S]),
+        wider=True,
+        into=lambda values: (short, np.clip(values, *short.limits())),
+    )
+
 
 TRACKER_DELAY = DiagnosedEffect(
     name=TrackerDelay.name,
@@ -17,6 +39,7 @@ TRACKER_DELAY = DiagnosedEffect(
     remedy="take the delay off the stamps in the tracker's driver",
     needs="tracker",
     healthy=True,
+    forms=_delays,
     known="firm",
     by_second=True,
     mujoco="the tip's pose stamped t is that of t - delay_s",

@@ -400,7 +400,7 @@ def sentence(answer: Answer) -> str:
     chances = dict(answer.ranking)
     if answer.verdict == NONE:
         chance = probability_words(chances.get(NONE, 0.0))
-        if answer.specification is None:  # of a table
+        if answer.specification is None:  # of a joint's runs
             return f"No gap beyond noise: the nominal model holds, probability {chance}."
         name = answer.specification["name"]
         if answer.reference:
