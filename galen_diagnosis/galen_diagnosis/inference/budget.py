@@ -119,12 +119,12 @@ def budget(
         if without is not None and without[-1].value < shares[-1].value + _AS_GOOD:
             parts, shares = fewer, without
     # Of few readings effects together may predict others worse than none does.
-    while shares[-1].value > 1.0 and any(not np.any(part.change) for part in parts):
-        least = min(
-            (k for k, part in enumerate(parts) if not np.any(part.change)),
-            key=lambda k: shares[k].value,
-        )
-        parts = [part for k, part in enumerate(parts) if k != least]
+    while shares[-1].value > 1.0:
+        each = enumerate(zip(parts, shares, strict=False))
+        healthy = [(share.value, k) for k, (part, share) in each if not np.any(part.change)]
+        if not healthy:
+            break
+        del parts[min(healthy)[1]]
         without = _shares(observation, together, best, parts, floor)
         if without is None:
             return ()
