@@ -146,13 +146,15 @@ def test_what_is_healthy_decides_of_a_table_too(tmp_path, capsys):
     limits = dict.fromkeys(("axis_gain", "crosstalk", "sensor_mount_rotation"), 0.001)
     own = {"schema_version": 1, "name": "calibrated", "limits": limits}
     Path("own.json").write_text(json.dumps(own))
-    command = ["t.csv", "--noise", "n.csv", "--json", "--no-report", "--overwrite"]
+    command = ["t.csv", "--noise", "n.csv", "--json", "--overwrite"]
     assert diagnose(command) == 0
+    assert Path("diagnosis_t/pictures/budget.png").stat().st_size > 5000
+    assert "24 readings" in Path("diagnosis_t/report.html").read_text()
     usual = json.loads(capsys.readouterr().out)
     assert usual["verdict"] == "none"
     parts = [one for one in usual["budget"] if one["effect"] == "crosstalk"]
     assert {one["specification"] for one in parts} <= {"within", "undecided"} and parts
-    assert diagnose([*command, "--specification", "own.json"]) == 0
+    assert diagnose([*command, "--no-report", "--specification", "own.json"]) == 0
     better = json.loads(capsys.readouterr().out)
     assert better["specification"]["name"] == "calibrated"
     (cause,) = better["causes"]
