@@ -235,6 +235,33 @@ def test_a_table_of_too_few_poses_is_rejected(tmp_path, capsys):
     assert "few.csv: 3 blocks of readings" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("directions", "message"),
+    [
+        (
+            np.array([[0, 0, -1], [0, 1, 0], [1, 0, 0], [-1, 0, 0]]),
+            "4 readings are too few to show",
+        ),
+        (np.tile([0.0, 0.6, 0.8], (8, 1)), "all readings have gravity along one direction"),
+    ],
+)
+def test_a_table_that_can_not_tell_its_load_or_noise_is_rejected(capsys, directions, message):
+    gravity = 9.81 * directions
+    rows = np.hstack([gravity_wrench(gravity, Load(0.8, np.array([0.01, 0.0, 0.05]))), gravity])
+    rows[:, :6] += 0.01 * np.random.default_rng(0).standard_normal((len(rows), 6))
+    np.savetxt("t.csv", rows, delimiter=",", header="fx,fy,fz,tx,ty,tz,gx,gy,gz", comments="")
+    assert diagnose(["t.csv"]) == 1
+    assert f"t.csv: {message}" in capsys.readouterr().err
+
+
+def test_a_table_without_any_noise_is_no_gap(capsys):
+    gravity = pose_table(9).gravity
+    rows = np.hstack([gravity_wrench(gravity, Load(0.8, np.array([0.01, 0.0, 0.05]))), gravity])
+    np.savetxt("t.csv", rows, delimiter=",", header="fx,fy,fz,tx,ty,tz,gx,gy,gz", comments="")
+    assert diagnose(["t.csv", "--no-report", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["verdict"] == "none"
+
+
 @measured
 @pytest.mark.slow
 def test_an_industrial_arms_axis_and_a_grasper(capsys, tmp_path):

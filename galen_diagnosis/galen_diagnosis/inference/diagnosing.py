@@ -55,7 +55,7 @@ from galen_diagnosis.inference.structure import (
     remaining_energy,
     structures,
 )
-from galen_diagnosis.observation.observation import Observation
+from galen_diagnosis.observation.observation import LEAST_NOISE, Observation
 from galen_diagnosis.observation.recording import DiagnosticRecording
 from galen_diagnosis.report.words import data_words, sentence
 
@@ -253,7 +253,7 @@ def _less_noise(explored: Explored, settings: Settings) -> DiagnosticRecording |
     if freedom < 3.0:
         return None
     square = np.sum(left**2, axis=(0, 2)) / freedom
-    less = np.minimum(std, np.repeat(np.sqrt(square), 3))
+    less = np.clip(np.repeat(np.sqrt(square), 3), LEAST_NOISE, std)
     if np.all(less > _HARDLY_LESS * std):
         return None
     name, bag = next(iter(recording.bags.items()))

@@ -63,7 +63,8 @@ _REST_KNOT_S = 5.0
 _QUIET = 500
 _QUIET_TRACKS = 300
 _TRACK_KNOT_S = 0.4
-_LEAST_NOISE = np.array([1e-4] * 3 + [1e-6] * 3)
+LEAST_NOISE = np.array([1e-4] * 3 + [1e-6] * 3)
+"""Of a reading: less is a simulation's, or digits that are missing."""
 _USUAL_TRACKER_NOISE = [
     *[ChannelNoise(np.zeros(0), 3e-5)] * 3,
     *[ChannelNoise(np.zeros(0), 1e-4)] * 3,
@@ -363,7 +364,7 @@ class Observation:
                 f"{self.recording.name}/{name}: the arm never stays or moves long enough without a "
                 "gap in the wrenches to show their noise"
             )
-        noise = [_at_least(one, floor) for one, floor in zip(noise, _LEAST_NOISE, strict=True)]
+        noise = [_at_least(one, floor) for one, floor in zip(noise, LEAST_NOISE, strict=True)]
         self.noise[name] = noise
         shown = np.where(at_rest[:, None], residual, np.nan)
         self._stream(name, WRENCH_AXES, bag.wrench_s, shown, noise)

@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 from galen_bags.arrays.tables import OrientationTable, average_still, without_repeats
-from galen_model.arm.arm import Arm, Joint, constant
+from galen_model.arm.arm import STANDARD_GRAVITY_M_S2, Arm, Joint, constant
 from galen_model.arrays import Array
 from galen_model.errors import GalenError, IdentificationError
 from galen_model.files.calibration_file import CalibrationFile
@@ -35,6 +35,7 @@ from scipy.stats import f as f_distribution
 
 from galen_diagnosis.effects.registry import RECORDS
 from galen_diagnosis.observation.noise import ChannelNoise, channel_noise
+from galen_diagnosis.observation.observation import LEAST_NOISE
 from galen_diagnosis.observation.recording import (
     DAY_TO_DAY,
     BagData,
@@ -46,7 +47,8 @@ from galen_diagnosis.observation.specification import DEFAULT, Specification, sp
 _FEWEST_BLOCKS = 4
 _LEAST_FREEDOM = 2
 _MOST_NOISE = 0.1
-"""Of how forces change: what is more is not taken for noise."""
+_USUAL_NOISE_N = 0.05
+"""Of how forces change, or as much: what is more is not taken for noise."""
 _MANY = 20
 """Readings from which on a map of ten numbers is fitted to a channel."""
 _MAPPED = "gravity", "wrench"
@@ -168,7 +170,7 @@ def table_recording(
     }
     names = tuple(Path(one.path).stem for one in references)
     # Neighbours that go together are worth less than as many independent ones.
-    noise_std = floor.std / np.sqrt(floor.alone(_step_s(averaged)))
+    noise_std = np.maximum(floor.std / np.sqrt(floor.alone(_step_s(averaged))), LEAST_NOISE)
     readings = Readings(
         block, labels, noise_std, not problems, unknowns, hidden, tuple(notes), names
     )
@@ -222,10 +224,15 @@ def _floor_of_a_map(table: OrientationTable) -> Floor:
         of, words = table.rotation.reshape(len(table), 9), "the orientation"
     design = np.column_stack([of, np.ones(len(table))])
     left = table.wrench - design @ np.linalg.lstsq(design, table.wrench, rcond=None)[0]
-    freedom = max(len(table) - int(np.linalg.matrix_rank(design)), 1)
+    freedom = len(table) - int(np.linalg.matrix_rank(design))
+    if freedom < _LEAST_FREEDOM:
+        raise GalenError(
+            f"{table.path}: {len(table)} readings are too few to show their noise, which takes"
+            f" {len(table) - freedom + _LEAST_FREEDOM} or more; give it with --noise"
+        )
     std = np.sqrt(np.sum(left**2, axis=0) / freedom)
     changes = np.std(table.wrench[:, :3], axis=0)
-    most = _MOST_NOISE * float(np.linalg.norm(changes))
+    most = max(_MOST_NOISE * float(np.linalg.norm(changes)), _USUAL_NOISE_N)
     std *= min(1.0, most / max(float(np.linalg.norm(std[:3])), 1e-300))
     return Floor(std, 0.0, 1.0, f"what a linear map of {words} leaves of each channel")
 
@@ -406,6 +413,11 @@ def _memory(residual: Array, time_s: Array, which: np.ndarray) -> tuple[float, f
 def _nominal(table: OrientationTable, tool: CalibrationFile | None) -> tuple[Load, Array, Array]:
     """Return the load, how far nominal may be off, and nominal readings (n, 6)."""
     if tool is None:
+        if np.ptp(table.gravity, axis=0).max() < _SAME_GRAVITY_RAD * STANDARD_GRAVITY_M_S2:
+            raise GalenError(
+                f"{table.path}: all readings have gravity along one direction, where a load can't"
+                " be separated from the sensor's zero; turn the sensor, or give the load (--tool)"
+            )
         moments, _ = plain_least_squares(table.gravity, table.wrench)
         if not moments[0] > 0.0:
             raise GalenError(
