@@ -304,7 +304,7 @@ def parameters_of(
     named_by = record_of(part.effect).parameters
     draws = [named_by(observation, part.at(one)) for one in numbers]
     return {
-        name: _interval(part, name, value, [draw[name] for draw in draws])
+        name: _interval(part, name, value, [draw[name] for draw in draws if name in draw])
         for name, value in named_by(observation, part.at(values)).items()
     }
 
@@ -320,7 +320,8 @@ def _interval(part: Candidate, name: str, value: Any, draws: list[Any]) -> Any:
         return value
     if isinstance(value, Mapping):
         return {
-            entry: _interval(part, entry, number, [draw.get(entry, 0.0) for draw in draws])
+            # A draw that is the nominal arm names no entry.
+            entry: _interval(part, entry, number, [d[entry] for d in draws if entry in d] or number)
             for entry, number in value.items()
         }
     if name in part.known:
