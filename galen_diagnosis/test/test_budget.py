@@ -9,9 +9,12 @@ import numpy as np
 import pytest
 from galen_diagnosis.answer.answer import RESIDUAL, BudgetItem, Interval
 from galen_diagnosis.diagnose import main
+from galen_diagnosis.effects.candidates import plain_form
 from galen_diagnosis.effects.forms import Forms
+from galen_diagnosis.effects.registry import sought
 from galen_diagnosis.inference.budget import budget
 from galen_diagnosis.inference.diagnosing import diagnose_recording
+from galen_diagnosis.inference.gap import parameters_of
 from galen_diagnosis.inference.refine import nothing
 from galen_diagnosis.observation.observation import Observation
 from galen_diagnosis.observation.recording import Earlier, read_recording
@@ -149,3 +152,14 @@ def test_since_a_reference_only_what_has_changed_is_a_cause(ordinary, tmp_path, 
     assert sum(one["share"]["value"] for one in alone["budget"]) == pytest.approx(1.0)
     standings = {one["specification"] for one in alone["budget"] if "specification" in one}
     assert "within" in standings and "beyond" not in standings
+
+
+def test_draws_of_the_nominal_arm_have_no_stiffness_and_count_for_none():
+    effect = sought(SimpleNamespace(arm=GALEN, readings=None))["joint_compliance"]
+    part = plain_form(effect, "first", np.array([0]))
+    found = parameters_of(None, part, np.array([0.1]), np.array([[0.0], [0.05], [0.15]]))
+    ((low, high),) = [(one.low, one.high) for one in found["stiffness"].values()]
+    (stiffer,) = parameters_of(None, part, np.array([0.05]), np.array([[0.05]]))[
+        "stiffness"
+    ].values()
+    assert 0.0 < low < high <= stiffer.value
