@@ -1,14 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From readings to blocks of rows and effects: a table with orientations, or one joint's runs.
+"""A table with orientations as a recording: of a wrist that turns as the sensor does.
 
 A table with time is cut into its rest segments, blocks of averages over short windows. One without
 time is a row a reading; readings under the same gravity, where there are such, are a block, and
 with a reference each visit to it: what shows under one direction alone no other predicts. The
 load is fitted (mass, centre, constant part: what a calibration has) unless a file has it.
-
-Of a joint's two angles and torque, the lag is the motor's angle less the link's. Nominal is a rigid
-gear: a constant, the encoders' zeros. What effects add to it is in `effects/transmission.py`;
-plays, velocity and direction are those of `galen_model.transmission`.
 """
 
 from __future__ import annotations
@@ -31,7 +27,6 @@ from galen_model.rest.segments import DirectionRest, rest_by_direction
 from galen_sim_driver.effects.joints import BaseInclination
 from galen_sim_driver.effects.registry import limit_parts
 from scipy.spatial.transform import Rotation
-from scipy.stats import f as f_distribution
 
 from galen_diagnosis.effects.registry import RECORDS
 from galen_diagnosis.observation.noise import ChannelNoise, channel_noise
@@ -281,16 +276,6 @@ class _Stops:
 def _averaged(table: OrientationTable, window_s: float) -> OrientationTable:
     run = _Stops.of(table, window_s)
     return run.averaged() if run is not None else without_repeats(table)[0].timed()
-
-
-def _levels(later: int, earlier: int) -> tuple[float, ...]:
-    """Return how many times the floor of so many earlier readings later ones may scatter by chance.
-
-    Of one variance, ratios of two estimates of it are F-distributed.
-    """
-    freedom = [max(count - 4, 1) for count in (later, earlier)]
-    most = float(np.sqrt(f_distribution.ppf(0.975, *freedom)))
-    return tuple(np.geomspace(1.0 / most, most, 5).tolist())
 
 
 def _nominal_since(
