@@ -616,9 +616,9 @@ def _table(path: Path, arguments: argparse.Namespace) -> DiagnosticRecording:
         noise=None if arguments.noise is None else _noise(arguments.noise),
         tool=None if arguments.tool is None else read_calibration(arguments.tool, arm),
         references=references,
-        specification=specification_of(
-            arguments.specification or [DEFAULT], dict.fromkeys(LIMITED)
-        ),
+        specification=specification_of(arguments.specification, dict.fromkeys(LIMITED))
+        if arguments.specification
+        else None,
     )
 
 

@@ -30,12 +30,6 @@ _BENDS, _BEND = 2, 3.0
 _RATE = np.array([1.0] * 3 + [0.02] * 3)
 _HALVINGS = 2
 """How often the time between knots is halved."""
-_TABLE_LENGTHS = (1.0, 0.25, 0.08)
-"""Over the table's span; what bends faster than this, in s, is no bias drift."""
-_FASTEST_S, _FASTEST_READINGS = 10.0, 5.0
-_TABLE_SIZES_N = (0.03, 0.2)
-_KEPT = 0.999
-_MOST_STEPS = 24
 
 
 def drift_candidates(observation: Observation, zero: Array) -> list[Candidate]:

@@ -30,8 +30,6 @@ from galen_diagnosis.observation.recording import DiagnosticRecording
 
 _ALONG = 0.9
 """Cosine between two axes from which on they are taken for one."""
-_INCLINATIONS_RAD = (0.01, 0.1)
-"""Usual sizes: of a base that is meant to be level, and of a mount that isn't known."""
 
 
 def _zero_in_description(

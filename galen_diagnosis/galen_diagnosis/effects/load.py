@@ -185,7 +185,6 @@ INERTIAL_LOAD = DiagnosedEffect(
 _REACH_M = 0.7
 """How far from the tool a cable's other end is taken to be where its fit begins."""
 _REACHES_M, _FARTHEST_M, _SMALL = (0.4, 1.0), 0.4, 1e-3
-_TABLE_N = 0.3
 _FEWEST_YAWS = 3
 
 

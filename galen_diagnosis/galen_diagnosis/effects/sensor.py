@@ -302,7 +302,6 @@ _LEAST_RUN_S = 0.08
 _BEYOND = (2.0, 2.0, 2.0, 0.1, 0.1, 0.1)
 _WORTH_EACH, _WORTH_MOST = 0.5, 40.0
 _POWER, _FAR, _SHORT = 20.0, 1.5, np.array([0.02])
-_TABLE_SHARES = (0.97, 0.9, 0.75)
 
 
 def saturation_candidates(observation: Observation, zero: Array) -> list[Candidate]:

@@ -243,8 +243,10 @@ def _less_noise(explored: Explored, settings: Settings) -> DiagnosticRecording |
     Noise that nothing has measured is at first what no map of gravity explains.
     """
     recording = explored.observation.recording
+    if recording.readings is None or recording.readings.noise_known:
+        return None
     fit = fit_of_causes(explored, settings)
-    if recording.readings is None or recording.readings.noise_known or not fit.parts:
+    if not fit.parts:
         return None
     std, own = recording.readings.noise_std, explored.observation.unknown.shape[1]
     left = explored.found.behind.left(fit.raw_rows).reshape(-1, 2, 3) * std.reshape(2, 3)

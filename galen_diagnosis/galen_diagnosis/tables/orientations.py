@@ -41,8 +41,7 @@ from galen_diagnosis.observation.specification import DEFAULT, Specification, sp
 
 _FEWEST_BLOCKS = 4
 _LEAST_FREEDOM = 2
-_MOST_NOISE = 0.1
-_USUAL_NOISE_N = 0.05
+_MOST_NOISE, _USUAL_NOISE_N = 0.1, 0.05
 """Of how forces change, or as much: what is more is not taken for noise."""
 _MANY = 20
 """Readings from which on a map of ten numbers is fitted to a channel."""
@@ -218,7 +217,7 @@ def _floor_of_a_map(table: OrientationTable) -> Floor:
     if table.rotation is not None and len(table) >= _MANY:
         of, words = table.rotation.reshape(len(table), 9), "the orientation"
     design = np.column_stack([of, np.ones(len(table))])
-    left = table.wrench - design @ np.linalg.lstsq(design, table.wrench, rcond=None)[0]
+    left = _left(design, table.wrench)
     freedom = len(table) - int(np.linalg.matrix_rank(design))
     if freedom < _LEAST_FREEDOM:
         raise GalenError(
@@ -230,6 +229,11 @@ def _floor_of_a_map(table: OrientationTable) -> Floor:
     most = max(_MOST_NOISE * float(np.linalg.norm(changes)), _USUAL_NOISE_N)
     std *= min(1.0, most / max(float(np.linalg.norm(std[:3])), 1e-300))
     return Floor(std, 0.0, 1.0, f"what a linear map of {words} leaves of each channel")
+
+
+def _left(design: Array, wrench: Array) -> Array:
+    """Return what columns (n, p), fitted to each channel by itself, leave of wrenches (n, 6)."""
+    return np.asarray(wrench - design @ np.linalg.lstsq(design, wrench, rcond=None)[0])
 
 
 def _load_columns(gravity: Array, prior: Array) -> Array:
@@ -347,7 +351,7 @@ def _left_by_map_and_jump(table: OrientationTable, variance: Array) -> tuple[Arr
         freedom = count - columns.shape[1] - 1
         if freedom < _LEAST_FREEDOM or np.linalg.matrix_rank(columns) < columns.shape[1]:
             continue
-        left = table.wrench - columns @ np.linalg.lstsq(columns, table.wrench, rcond=None)[0]
+        left = _left(columns, table.wrench)
         size = float(np.sum(left**2 / variance))
         if size < best:
             best, found = size, (left, freedom)
