@@ -437,8 +437,17 @@ class Between:
         return np.asarray(before + self._part * (after - before))
 
 
+_GAP_S = 0.3
+
+
 def _interpolated(at_s: Array, known_s: Array, values: Array) -> Array:
-    """Values (n, k) at known_s, linearly at at_s; the ends hold."""
+    """Values (n, k) at known_s, linearly at at_s; ends hold, those of a gap to its middle."""
+    gaps = np.flatnonzero(np.diff(known_s) > _GAP_S)
+    if len(gaps):
+        middle = 0.5 * (known_s[gaps] + known_s[gaps + 1])
+        known_s = np.insert(known_s, np.repeat(gaps + 1, 2), np.repeat(middle, 2))
+        held = np.stack([values[gaps], values[gaps + 1]], axis=1).reshape(-1, values.shape[1])
+        values = np.insert(values, np.repeat(gaps + 1, 2), held, axis=0)
     return np.stack([np.interp(at_s, known_s, column) for column in values.T], axis=1)
 
 

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import product
 from functools import partial
 from itertools import permutations
 from typing import Any
@@ -219,32 +220,31 @@ _KNEES, _TOGETHER = (0.08, 0.2, 0.5), ("force", "torque", "all")
 def lagging_candidates(observation: Observation, zero: Array) -> list[Candidate]:
     """Return lags of forces, torques or both.
 
-    Over a pause of a bag what the loads have left is gone, or stays.
+    They turn gradually or sharply. Over a pause of a bag what the loads have left is gone, or stays.
 
     Args:
         observation: What was measured.
         zero: Columns of the sensor's zero, (N, 6).
 
     Returns:
-        8 forms: linear in the fraction, the knee free in a fit.
+        20 forms: linear in the fraction, the knee free in a fit.
 
     """
     found = []
-    ways = [*((True, knee) for knee in _KNEES), (False, _KNEES[1])]
-    bonus = -np.log(8.0)  # one of so many forms
-    for restarts, knee in ways:
-        unit = simulated.SensorHysteresis(1.0, knee=knee, restarts=restarts)
+    bonus = -np.log(20.0)  # one of so many forms
+    for restarts, sharp, knee in product((True, False), (False, True), _KNEES):
+        unit = simulated.SensorHysteresis(1.0, knee=knee, restarts=restarts, sharp=sharp)
         lag = _at_rows(observation, unit.lag)
         for axes in _TOGETHER if knee == _KNEES[1] else _TOGETHER[:1]:
             own = list(simulated.AXES[axes])
             column = -np.sum(zero[:, own] * lag[:, own], axis=1, keepdims=True)
             effect = replace(unit, fraction=0.0, axes=axes)
-            label = f"{axes} {knee:g}{'' if restarts else ' kept'}"
+            label = f"{axes} {knee:g}{' sharp' * sharp}{'' if restarts else ' kept'}"
             typical, probe = np.array([0.02, 0.5 * knee]), np.array([2e-3, 0.05 * knee])
             fitted = replace(plain_form(effect, label), typical=typical, probe=probe, bonus=bonus)
             one = replace(linear_form(effect, label, column, typical[:1]), bonus=bonus)
             # A healthy sensor's is that of forces and of torques, and turns neither soon nor late.
-            usual = restarts and knee == _KNEES[1] and axes != "all"
+            usual = restarts and not sharp and knee == _KNEES[1] and axes != "all"
             found.append(freed(replace(one, wider=not usual), fitted))
     return found
 

@@ -126,7 +126,9 @@ class Discrepancies:
     """What effects' models may be off in one recording, beside unknowns and tolerances."""
 
     def __init__(self, observation: Observation, behind: Background) -> None:
-        self._observation, self._behind = observation, behind
+        self._observation = observation
+        own = slice(observation.unknowns)
+        self._unknowns = Background(behind.columns[:, own], behind.prior_std[own])
         self._pieces = _pieces(observation.rows)
         self._by_second = _pieces(observation.rows, BAGS)
         self._push_by_second = _pieces(observation.rows, ("push",))
@@ -154,13 +156,14 @@ class Discrepancies:
             if record.remembers:
                 off.append(self._until_loaded(alone))
             if record.between_knots is not None:
-                rough.append(record.between_knots(one, rows, self._behind.columns[:, :6]))
+                rough.append(record.between_knots(one, rows, self._unknowns.columns[:, :6]))
         return hstack(off, format="csc"), hstack(rough, format="csc")
 
     def signatures(self, hypothesis: Hypothesis) -> list[Array]:
         """Return what each effect of a hypothesis changes of the rows beside the others.
 
-        Less what the background takes of it, which shows nowhere.
+        Less what the unknowns take of it, which shows nowhere. What a healthy arm's tolerances take
+        stays: they take an effect's mean, and not what its model misses from piece to piece.
 
         Args:
             hypothesis: Effects as fitted.
@@ -169,7 +172,7 @@ class Discrepancies:
             Changes in the rows' units, each (N,), in the effects' order.
 
         """
-        return [self._behind.left(one) for one in hypothesis.changes(self._observation)]
+        return [self._unknowns.left(one) for one in hypothesis.changes(self._observation)]
 
     def varying(
         self, behind: Background, hypothesis: Hypothesis, shown: Sequence[Array]

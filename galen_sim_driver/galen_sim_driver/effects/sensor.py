@@ -35,7 +35,7 @@ the axes of base_link, once during `push`, and stays there; arm and tracker stay
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import ClassVar, Self
@@ -272,6 +272,7 @@ class SensorNonlinearity(Effect):
 
 _TYPICAL_LARGEST = np.array([10.0] * 3 + [1.0] * 3)
 _PAUSE_S = 1.0
+_WIDEST = 0.5
 _TURNS = 4
 AXES: Mapping[str, tuple[int, ...]] = {
     "all": (0, 1, 2, 3, 4, 5),
@@ -294,14 +295,15 @@ class _Lagging:
 class SensorHysteresis(Effect):
     """The reading lags the load, and keeps `fraction` of the largest when it is gone.
 
-    `vector` holds the fraction with its side's sign, and the knee.
+    The lag approaches its end gradually (P. R. Dahl, 1968) or goes straight to it and stops there
+    (L. Prandtl's stop, 1928). `vector` holds the fraction with its side's sign, and the knee.
     """
 
     name = "sensor_hysteresis"
     fitted = (Fitted("signed_fraction", "", 0.02, -0.5, 0.5), Fitted("knee", "", 0.1, 0.02, 1.0))
     order = 2
     limit_parts = ("",)
-    beyond_contract = ("side", "knee", "axes", "restarts")
+    beyond_contract = ("side", "knee", "axes", "restarts", "sharp")
 
     fraction: float = param(0.0, "what is left of the largest load when it is gone", 0.0, 0.5)
     side: float = param(
@@ -312,6 +314,7 @@ class SensorHysteresis(Effect):
     restarts: bool = param(
         True, "whether what is left is gone after a second without readings, as in a bag"
     )
+    sharp: bool = param(False, "whether the lag goes straight to its end; the knee is 0.5 at most")
 
     _memory: ClassVar[_Lagging | None] = None
 
@@ -323,6 +326,10 @@ class SensorHysteresis(Effect):
         check_choice(self.name, "axes", self.axes, AXES)
         if self.side not in (1.0, -1.0):
             raise ConfigError(f"{self.name}: side is {self.side}, but must be 1 or -1")
+        if self.sharp and self.knee > _WIDEST:
+            raise ConfigError(
+                f"{self.name}: knee is {self.knee:g}, but at most {_WIDEST:g} where it is sharp"
+            )
         if self._steepest >= 1.0:
             raise ConfigError(
                 f"{self.name}: fraction is {self.fraction:g}, but with side 1 and knee"
@@ -344,6 +351,7 @@ class SensorHysteresis(Effect):
         """
         signed, knee = vector.tolist()
         side = -1.0 if signed < 0.0 else 1.0
+        knee = min(knee, _WIDEST) if self.sharp else knee
         return replace(self, fraction=abs(signed), side=side, knee=knee)
 
     def fresh(self) -> Self:
@@ -403,7 +411,7 @@ class SensorHysteresis(Effect):
             if len(rows):
                 loads = wrench[rows][:, axes] - wrench[rows[0], axes]
                 largest, rest = np.abs(loads).max(axis=0), np.zeros(len(axes))
-                slide = partial(_slide, self.knee * np.where(largest > 0.0, largest, 1.0))
+                slide = partial(self._slide, self.knee * np.where(largest > 0.0, largest, 1.0))
                 states = along_turns(loads, GATE * largest, slide, rest, rest)
                 out[np.ix_(rows, axes)] = largest * states
         return self._size * out
@@ -411,12 +419,18 @@ class SensorHysteresis(Effect):
     def _next(self, memory: _Lagging, wrench: Array) -> Array:
         change = 0.0 * wrench if memory.last is None else wrench - memory.last
         memory.last = wrench
-        memory.state = _slide(self.knee * _TYPICAL_LARGEST, memory.state, change)
+        memory.state = self._slide(self.knee * _TYPICAL_LARGEST, memory.state, change)
         return memory.state
+
+    @property
+    def _slide(self) -> Callable[[Array, Array, Array], Array]:
+        return _stopped if self.sharp else _slide
 
     @property
     def _size(self) -> float:
         """Return side c."""
+        if self.sharp:
+            return self.side * self.fraction
         turned = -np.expm1(-1.0 / self.knee)
         return self.side * self.fraction / float(-np.expm1(turned - 1.0 / self.knee))
 
@@ -433,6 +447,11 @@ def _slide(length: Array, state: Array, change: Array) -> Array:
     beyond = np.maximum(way + np.minimum(along, 0.0), 0.0)
     on = 1.0 - (1.0 - np.maximum(along, 0.0)) * np.exp(-beyond)
     return np.where(change == 0.0, state, sign * np.where(along + way < 0.0, along + way, on))
+
+
+def _stopped(length: Array, state: Array, change: Array) -> Array:
+    """Return the same of a state that goes straight from end to end, and stops there."""
+    return np.clip(state + change / length, -1.0, 1.0)
 
 
 @dataclass(frozen=True)
