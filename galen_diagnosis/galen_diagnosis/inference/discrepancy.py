@@ -80,25 +80,33 @@ def answered(hypothesis: Hypothesis, left: float) -> float:
     return left / (1.0 + missed(hypothesis, _LEAST) / _DIRECTIONS)
 
 
-def gain_and_cost(behind: Background, off: csc_array, rows: Array) -> tuple[float, float]:
+def gain_and_cost(
+    behind: Background, off: csc_array, rows: Array, scales: Sequence[Array] = ()
+) -> list[tuple[float, float]]:
     """Return what columns with unit priors are worth beside a background.
 
     Args:
         behind: What is fitted beside.
         off: Columns, (N, M).
         rows: Whitened rows before the background's fit, (N,).
+        scales: What the columns are taken times, each (M,); none for once as they are.
 
     Returns:
-        By how much half the energy falls with the columns, and 1/2 log det.
+        By how much half the energy falls with the columns, and 1/2 log det, by scales.
 
     """
     cross = behind.dot(off)
     back = behind.solve(cross)
     gram = (off.T @ off).toarray() - cross.T @ back
     along = off.T @ rows - back.T @ behind.dot(rows)
-    root = cholesky(np.eye(len(gram)) + gram, lower=True)
-    gain = 0.5 * float(np.sum(solve_triangular(root, along, lower=True) ** 2))
-    return gain, float(np.sum(np.log(np.diag(root))))
+    out = []
+    for scale in scales or [np.ones(len(gram))]:
+        used = np.flatnonzero(scale)
+        inner = gram[np.ix_(used, used)] * np.outer(scale[used], scale[used])
+        root = cholesky(np.eye(len(used)) + inner, lower=True)
+        solved = solve_triangular(root, scale[used] * along[used], lower=True)
+        out.append((0.5 * float(solved @ solved), float(np.sum(np.log(np.diag(root))))))
+    return out
 
 
 def looks_like(others: Sequence[tuple[str, Array]], signature: Array) -> float:
@@ -195,7 +203,7 @@ class Discrepancies:
         for k, (part, alone) in enumerate(zip(hypothesis.parts, shown, strict=True)):
             record = record_of(part.effect)
             columns = _columns(alone, self._parts(record))
-            gain, cost = gain_and_cost(behind, columns, hypothesis.raw_rows)
+            ((gain, cost),) = gain_and_cost(behind, columns, hypothesis.raw_rows)
             log = gain - cost - _ANOTHER_MODEL[record.known]
             log *= 1.0 - looks_like([*each[:k], *each[k + 1 :]], alone)
             out.append(Structure(f"size of {part.effect}, by time and load", log, 2.0 * gain))

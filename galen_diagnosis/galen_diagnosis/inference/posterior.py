@@ -30,6 +30,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib import resources
+from itertools import product
 
 import numpy as np
 from galen_model.arrays import Array
@@ -71,6 +72,8 @@ def load_settings() -> Settings:
 
 _INPUTS_FREE = 0.8
 _FULL, _REST = 30.0, 0.1
+_OFF_SCALES = (0.0, 0.3, 1.0)
+"""How far models are off, over how far they usually may be: some are better."""
 _ROUGH_SCALES = (0.1, 0.3, 1.0)
 """Of what a drift does between its knots, over what it does from knot to knot."""
 _AS_LIKELY = 10.0
@@ -138,20 +141,23 @@ def weighed(found: Found, discrepancies: Discrepancies) -> list[Weighed]:
     for one in found.hypotheses:
         shown = discrepancies.signatures(one)
         off, rough = discrepancies.of(one, shown)
-        gain, cost = gain_and_cost(found.behind, off, one.raw_rows)
-        log_rough, rougher = 0.0, rough[:, :0]
-        for scale in _ROUGH_SCALES if rough.shape[1] else ():
-            columns = hstack([off, scale * rough], format="csc")
-            more = gain_and_cost(found.behind, columns, one.raw_rows)
-            log = more[0] - more[1] - (gain - cost) - np.log(len(_ROUGH_SCALES))
-            if log > log_rough:
-                log_rough, rougher, best = log, scale * rough, more
-        if log_rough > 0.0:
-            gain, cost = best
+        roughly = (0.0, *_ROUGH_SCALES) if rough.shape[1] else (0.0,)
+        ways = list(product(_OFF_SCALES if off.shape[1] else (0.0,), roughly))
+        number = off.shape[1], rough.shape[1]
+        worth = gain_and_cost(
+            *(found.behind, hstack([off, rough], format="csc"), one.raw_rows),
+            [np.repeat(way, number) for way in ways],
+        )
+        logs = [gain - cost - np.log(len(ways)) for gain, cost in worth]
+        best = int(np.argmax(logs))
+        (gain, cost), (scale, roughness) = worth[best], ways[best]
+        cost += np.log(len(ways))
+        off, rough = scale * off, roughness * (rough if roughness else rough[:, :0])
+        log_rough = logs[best] - logs[ways.index((scale, 0.0))]
         occam = 0.5 * (found.none.cost - one.cost) - one.log_bayes
         log_bayes = one.log_bayes + gain - cost
         left, occam = one.cost - 2.0 * gain, occam * _counted(one) + cost
-        out.append(Weighed(one, shown, off, rougher, left, occam, log_bayes, log_rough))
+        out.append(Weighed(one, shown, off, rough, left, occam, log_bayes, log_rough))
     for of in tuple(out):
         if len(of.shown) > 1:
             _excuse(out, of)
