@@ -273,6 +273,21 @@ def test_a_sensor_keeps_a_fraction_of_the_largest_load_on_either_side(side):
     assert np.array(again) == pytest.approx(read, abs=1e-12)
 
 
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_sharp_lag_is_a_load_less_its_play(side):
+    load = pushes([0.0, 10.0, 0.0, -10.0, 4.0, 10.0])
+    effect, when = SensorHysteresis(0.05, side, knee=0.4, sharp=True), instants(len(load))
+    read = effect.read(when, along_fz(load))
+    # A play operator holds what comes within its width, 4 N.
+    held, state = np.empty_like(load), 0.0
+    for k, value in enumerate(load):
+        state = min(max(state, value - 4.0), value + 4.0)
+        held[k] = state
+    assert load - read[:, 2] == pytest.approx(side * 0.05 * 10.0 / 4.0 * (load - held), abs=1e-12)
+    assert read[[120, 240], 2] == pytest.approx([side * 0.5, 4.0 - side * 0.5])
+    assert effect.unread(when, read) == pytest.approx(along_fz(load), abs=1e-3)
+
+
 def test_what_loads_have_left_in_a_sensor_outlasts_a_pause_or_does_not():
     load = np.concatenate([pushes([0.0, 10.0, 0.0]), np.zeros(5)])
     at_s = 0.01 * np.arange(len(load)) + 5.0 * (np.arange(len(load)) > 120)
@@ -301,6 +316,8 @@ def test_a_sensor_whose_reading_would_stand_still_is_refused():
         ConfigError, match=r"fraction is 0.2, but with side 1 and knee 0.1 it stays below 0.1"
     ):
         SensorHysteresis(0.2, knee=0.1).validate()
+    with pytest.raises(ConfigError, match=r"knee is 0.6, but at most 0.5 where it is sharp"):
+        SensorHysteresis(0.02, knee=0.6, sharp=True).validate()
 
 
 # --- play ---------------------------------------------------------------------------------------

@@ -246,6 +246,18 @@ def test_a_late_wrench_is_that_of_the_joints_before():
     assert np.abs(NOMINAL - expected).max() > 0.01
 
 
+def test_joints_hold_over_what_was_not_recorded():
+    kept = (JOINT_S < 1.0) | (JOINT_S > 3.0)
+    joint_s, joints = JOINT_S[kept], joints_at(JOINT_S)[kept]
+    ends = joint_s[np.searchsorted(joint_s, 2.0) - 1 :][:2]
+    at_s = np.array([0.5, 1.2, 2.8, 3.5])
+    late = replace(scene(), joint_s=joint_s, joints=joints, wrench_s=at_s + 0.1)
+    found = Replay(late, [WrenchDelay(0.1)]).reading()
+    then = joints_at(np.array([at_s[0], *ends, at_s[3]]))
+    expected = nominal_reading(then[:, 3:], TOOL.load, ADAPTER, BIAS, arm=GALEN)
+    assert np.abs(found - expected).max() < 3e-5
+
+
 def test_the_tip_stands_where_the_arm_and_the_push_put_it():
     bent = GALEN.deflection(STILL, PUSH, TOOL.tip_m)
     assert np.linalg.norm(bent[:3]) > 1e-4

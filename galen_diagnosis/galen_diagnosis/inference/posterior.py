@@ -5,8 +5,8 @@ The few numbers of the evidence that are not physics are calibrated on simulated
 `python -m galen_validation.calibrate_diagnosis` makes `calibration.json`; sessions and unknown
 kinds there are others than those of `blind_check`.
 
-With E_h the energy that a hypothesis' fit leaves, what its models may be off (`discrepancy.py`)
-fitted beside it, the log likelihood is
+With E_h the energy that a hypothesis' fit leaves, what its models may be off (`discrepancy.py`, on
+the likeliest of a few scales) fitted beside it, the log likelihood is
 
     l_h = -1/2 E_h - Occam_h,
 
@@ -72,10 +72,9 @@ def load_settings() -> Settings:
 
 _INPUTS_FREE = 0.8
 _FULL, _REST = 30.0, 0.1
-_OFF_SCALES = (0.0, 0.3, 1.0)
-"""How far models are off, over how far they usually may be: some are better."""
-_ROUGH_SCALES = (0.1, 0.3, 1.0)
-"""Of what a drift does between its knots, over what it does from knot to knot."""
+_SCALES = (0.0, 0.1, 0.3, 1.0)
+"""Of what models are off, over what they usually may be, and of what a drift does between its
+knots, over what it does from knot to knot."""
 _AS_LIKELY = 10.0
 APART = 3.3
 """Two causes nearer than this in units of the noise can't be distinguished (study of diagnosis)."""
@@ -141,18 +140,15 @@ def weighed(found: Found, discrepancies: Discrepancies) -> list[Weighed]:
     for one in found.hypotheses:
         shown = discrepancies.signatures(one)
         off, rough = discrepancies.of(one, shown)
-        roughly = (0.0, *_ROUGH_SCALES) if rough.shape[1] else (0.0,)
-        ways = list(product(_OFF_SCALES if off.shape[1] else (0.0,), roughly))
-        number = off.shape[1], rough.shape[1]
-        worth = gain_and_cost(
-            *(found.behind, hstack([off, rough], format="csc"), one.raw_rows),
-            [np.repeat(way, number) for way in ways],
-        )
+        ways = list(product(*(_SCALES if part.shape[1] else (0.0,) for part in (off, rough))))
+        scales = [np.repeat(way, (off.shape[1], rough.shape[1])) for way in ways]
+        columns = hstack([off, rough], format="csc")
+        worth = gain_and_cost(found.behind, columns, one.raw_rows, scales)
         logs = [gain - cost - np.log(len(ways)) for gain, cost in worth]
         best = int(np.argmax(logs))
-        (gain, cost), (scale, roughness) = worth[best], ways[best]
+        (gain, cost), (scale, rough_scale) = worth[best], ways[best]
         cost += np.log(len(ways))
-        off, rough = scale * off, roughness * (rough if roughness else rough[:, :0])
+        off, rough = scale * off, rough_scale * (rough if rough_scale else rough[:, :0])
         log_rough = logs[best] - logs[ways.index((scale, 0.0))]
         occam = 0.5 * (found.none.cost - one.cost) - one.log_bayes
         log_bayes = one.log_bayes + gain - cost
