@@ -19,9 +19,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from itertools import product
 from functools import partial
-from itertools import permutations
+from itertools import permutations, product
 from typing import Any
 
 import numpy as np
@@ -220,7 +219,7 @@ _KNEES, _TOGETHER = (0.08, 0.2, 0.5), ("force", "torque", "all")
 def lagging_candidates(observation: Observation, zero: Array) -> list[Candidate]:
     """Return lags of forces, torques or both.
 
-    They turn gradually or sharply. Over a pause of a bag what the loads have left is gone, or stays.
+    They turn gradually or sharply. Over a pause of a bag what loads have left is gone, or stays.
 
     Args:
         observation: What was measured.
