@@ -213,7 +213,8 @@ SENSOR_NONLINEARITY = DiagnosedEffect(
 )
 
 
-_KNEES, _TOGETHER = (0.08, 0.2, 0.5), ("force", "torque", "all")
+_KNEES, _USUAL_KNEE = (0.05, 0.08, 0.13, 0.2, 0.32, 0.5), 0.2
+_TOGETHER = ("all", "force", "torque")
 
 
 def lagging_candidates(observation: Observation, zero: Array) -> list[Candidate]:
@@ -226,15 +227,15 @@ def lagging_candidates(observation: Observation, zero: Array) -> list[Candidate]
         zero: Columns of the sensor's zero, (N, 6).
 
     Returns:
-        20 forms: linear in the fraction, the knee free in a fit.
+        32 forms: linear in the fraction, the knee free in a fit.
 
     """
     found = []
-    bonus = -np.log(20.0)  # one of so many forms
+    bonus = -np.log(32.0)  # one of so many forms
     for restarts, sharp, knee in product((True, False), (False, True), _KNEES):
         unit = simulated.SensorHysteresis(1.0, knee=knee, restarts=restarts, sharp=sharp)
         lag = _at_rows(observation, unit.lag)
-        for axes in _TOGETHER if knee == _KNEES[1] else _TOGETHER[:1]:
+        for axes in _TOGETHER if knee == _USUAL_KNEE else _TOGETHER[:1]:
             own = list(simulated.AXES[axes])
             column = -np.sum(zero[:, own] * lag[:, own], axis=1, keepdims=True)
             effect = replace(unit, fraction=0.0, axes=axes)
@@ -243,7 +244,7 @@ def lagging_candidates(observation: Observation, zero: Array) -> list[Candidate]
             fitted = replace(plain_form(effect, label), typical=typical, probe=probe, bonus=bonus)
             one = replace(linear_form(effect, label, column, typical[:1]), bonus=bonus)
             # A healthy sensor's is that of forces and of torques, and turns neither soon nor late.
-            usual = restarts and not sharp and knee == _KNEES[1] and axes != "all"
+            usual = restarts and not sharp and knee == _USUAL_KNEE and axes != "all"
             found.append(freed(replace(one, wider=not usual), fitted))
     return found
 
