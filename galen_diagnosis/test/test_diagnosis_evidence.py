@@ -104,7 +104,7 @@ def test_what_a_law_may_be_off_is_in_proportion_to_what_it_does():
         block=np.arange(count) // 20, bag_s=np.arange(count) % 80 / 10.0, pose=np.full(count, -1),
     )  # fmt: skip
     signature = np.where(np.arange(count) < 100, np.random.default_rng(3).normal(size=count), 0.0)
-    observation = SimpleNamespace(rows=rows)
+    observation = SimpleNamespace(rows=rows, unknowns=1)
     behind = Background(np.zeros((count, 1)), np.ones(1))
     part = SimpleNamespace(effect="cable_drag")
     fit = SimpleNamespace(parts=(part,), effects=(None,), changes=lambda observation: [signature])

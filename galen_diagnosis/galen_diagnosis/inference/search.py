@@ -9,7 +9,7 @@ explains more than the models of those before it may miss.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -79,8 +79,7 @@ def search(observation: Observation, progress: Progress | None = None) -> Found:
         others = [one.log_bayes for one in singles if one.names != (candidate.effect,)]
         top = max(others, default=0.0)
         if not record_of(candidate.effect).general or log > _BEHIND * top:
-            fit = refine(observation, forms.behind, [candidate], [start], None, none.cost)
-            singles.append(fit)
+            singles += _fit(observation, forms, [candidate], [start], none.cost)
     say("pairs", 0.7)
     seeds = _best(singles, _PAIRS_FROM)
     seeds = [one for one in seeds if one.log_bayes > _BEHIND * seeds[0].log_bayes]
@@ -97,14 +96,22 @@ def search(observation: Observation, progress: Progress | None = None) -> Found:
         larger = _grown(observation, forms, better, singles, _MORE, none.cost)
         hypotheses += larger
     hypotheses += _pruned(observation, forms, hypotheses, none.cost)
-    hypotheses = [one for one in hypotheses if _plausible(observation, one)]
     ordered = tuple(sorted(hypotheses, key=lambda hypothesis: -hypothesis.log_bayes))
     return Found(forms, ordered, _by_effect(judged), none)
 
 
-def _plausible(observation: Observation, one: Hypothesis) -> bool:
-    each = zip(one.parts, one.effects, strict=True)
-    return all(record_of(part.effect).plausible(e, observation.recording) for part, e in each)
+def _fit(
+    observation: Observation,
+    forms: Forms,
+    parts: Sequence[Candidate],
+    start: Sequence[Array],
+    none_cost: float,
+) -> list[Hypothesis]:
+    """Return effects as fitted together; nothing where one of them isn't plausible so."""
+    fit = refine(observation, forms.behind, parts, start, None, none_cost)
+    each = zip(parts, fit.effects, strict=True)
+    plausible = all(record_of(one.effect).plausible(e, observation.recording) for one, e in each)
+    return [fit] if plausible else []
 
 
 def _by_effect(judged: list[tuple[Candidate, Evidence]]) -> dict[str, float]:
@@ -170,7 +177,7 @@ def _pruned(
     known = {frozenset(part.key for part in one.parts): one for one in hypotheses}
     if frozenset(part.key for part in parts) in known:
         return []
-    return [refine(observation, forms.behind, parts, start, None, none_cost)]
+    return _fit(observation, forms, parts, start, none_cost)
 
 
 def _beside(
@@ -224,5 +231,5 @@ def _grown(
             continue
         seen.add(key)
         parts, values = (*seed.parts, candidate), (*seed.values, start)
-        out.append(refine(observation, forms.behind, parts, values, None, none_cost))
+        out += _fit(observation, forms, parts, values, none_cost)
     return out
