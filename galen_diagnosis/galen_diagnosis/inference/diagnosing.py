@@ -150,7 +150,7 @@ def explore(recording: DiagnosticRecording, progress: Progress | None = None) ->
         if not (first.rough.shape[1] and one.name == BY_TIME)
     ]
     behind = behind.beside(first.rough, 1.0)
-    varies = discrepancies.varying(behind, best, first.shown)
+    varies = discrepancies.varying(behind, best, first.signatures, first.shown)
     remaining, floor = remaining_energy(observation.rows, behind.left(best.raw_rows))
     healthy = found.forms.tolerances.effects(best.background)
     fast = oscillation(observation.streams_with((*best.effects, *healthy), best.unknowns))

@@ -143,13 +143,13 @@ class Discrepancies:
         self._unloaded = list(_before_loads(observation))
 
     def of(
-        self, hypothesis: Hypothesis, shown: Sequence[Array] | None = None
+        self, hypothesis: Hypothesis, signatures: Sequence[Array] | None = None
     ) -> tuple[csc_array, csc_array]:
         """Return D of a hypothesis.
 
         Args:
             hypothesis: Effects as fitted.
-            shown: Its effects' `signatures`; None where they aren't known yet.
+            signatures: Its effects' `signatures`; None where they aren't known yet.
 
         Returns:
             Columns (N, M): what its models may be off, and what drifts do between their knots.
@@ -157,7 +157,7 @@ class Discrepancies:
         """
         rows = self._observation.rows
         off, rough = [csc_array((len(rows.channel), 0))], [csc_array((len(rows.channel), 0))]
-        each = self.signatures(hypothesis) if shown is None else shown
+        each = self.signatures(hypothesis) if signatures is None else signatures
         for part, alone, one in zip(hypothesis.parts, each, hypothesis.effects, strict=True):
             record = record_of(part.effect)
             off.append(_columns(record.kappa * alone, self._parts(record)))
@@ -183,7 +183,11 @@ class Discrepancies:
         return [self._unknowns.left(one) for one in hypothesis.changes(self._observation)]
 
     def varying(
-        self, behind: Background, hypothesis: Hypothesis, shown: Sequence[Array]
+        self,
+        behind: Background,
+        hypothesis: Hypothesis,
+        signatures: Sequence[Array],
+        shown: Sequence[Array],
     ) -> list[Structure]:
         """Return the evidence that each effect's size changes as another effect's would.
 
@@ -192,7 +196,8 @@ class Discrepancies:
         Args:
             behind: All that was fitted.
             hypothesis: Effects as fitted.
-            shown: The effects' `signatures`.
+            signatures: The effects'.
+            shown: What the unknowns and tolerances leave of them.
 
         Returns:
             One for each effect, in their order.
@@ -200,12 +205,12 @@ class Discrepancies:
         """
         out = []
         each = list(zip(hypothesis.names, shown, strict=True))
-        for k, (part, alone) in enumerate(zip(hypothesis.parts, shown, strict=True)):
+        for k, (part, whole) in enumerate(zip(hypothesis.parts, signatures, strict=True)):
             record = record_of(part.effect)
-            columns = _columns(alone, self._parts(record))
+            columns = _columns(whole, self._parts(record))
             ((gain, cost),) = gain_and_cost(behind, columns, hypothesis.raw_rows)
             log = gain - cost - _ANOTHER_MODEL[record.known]
-            log *= 1.0 - looks_like([*each[:k], *each[k + 1 :]], alone)
+            log *= 1.0 - looks_like([*each[:k], *each[k + 1 :]], shown[k])
             out.append(Structure(f"size of {part.effect}, by time and load", log, 2.0 * gain))
         return out
 

@@ -108,12 +108,13 @@ class Probabilities:
 class Weighed:
     """A hypothesis with what its models may be off, D (N, M), in two parts.
 
-    shown: its effects' signatures; off: by these; rough: of drifts between their knots. energy: F
-    at the minimum with D fitted beside; occam: 1/2 log det of all; log_bayes: against none;
-    log_rough: how much of it is by `rough`.
+    signatures: its effects'; shown: what the background leaves of them; off: by the signatures;
+    rough: of drifts between their knots. energy: F at the minimum with D fitted beside; occam: 1/2
+    log det of all; log_bayes: against none; log_rough: how much of it is by `rough`.
     """
 
     hypothesis: Hypothesis
+    signatures: list[Array]
     shown: list[Array]
     off: csc_array
     rough: csc_array
@@ -138,8 +139,8 @@ def weighed(found: Found, discrepancies: Discrepancies) -> list[Weighed]:
     """
     out: list[Weighed] = []
     for one in found.hypotheses:
-        shown = discrepancies.signatures(one)
-        off, rough = discrepancies.of(one, shown)
+        signatures = discrepancies.signatures(one)
+        off, rough = discrepancies.of(one, signatures)
         ways = list(product(*(_SCALES if part.shape[1] else (0.0,) for part in (off, rough))))
         scales = [np.repeat(way, (off.shape[1], rough.shape[1])) for way in ways]
         columns = hstack([off, rough], format="csc")
@@ -153,7 +154,8 @@ def weighed(found: Found, discrepancies: Discrepancies) -> list[Weighed]:
         occam = 0.5 * (found.none.cost - one.cost) - one.log_bayes
         log_bayes = one.log_bayes + gain - cost
         left, occam = one.cost - 2.0 * gain, occam * _counted(one) + cost
-        out.append(Weighed(one, shown, off, rough, left, occam, log_bayes, log_rough))
+        both = signatures, [found.behind.left(signature) for signature in signatures]
+        out.append(Weighed(one, *both, off, rough, left, occam, log_bayes, log_rough))
     for of in tuple(out):
         if len(of.shown) > 1:
             _excuse(out, of)
