@@ -10,6 +10,7 @@ from galen_common.parameters import param
 from galen_diagnosis.effects import registry
 from galen_diagnosis.effects.diagnosed_effect import DiagnosedEffect, no_forms
 from galen_diagnosis.effects.registry import RECORDS, record_of, sought
+from galen_diagnosis.inference import search
 from galen_diagnosis.inference.diagnosing import diagnose_recording
 from galen_diagnosis.observation.recording import read_recording
 from galen_diagnosis.report.words import next_steps
@@ -51,6 +52,19 @@ def test_a_body_accelerates_with_the_mass_of_the_file(mass_kg, own, inertial_for
     recording = SimpleNamespace(tool=tool, inertial_forces=inertial_forces)
     effect = InertialLoad(mass_kg, (own,) * 3 + (0.0,) * 3)
     assert RECORDS[effect.name].plausible(effect, recording) is can_be
+
+
+def test_what_cannot_be_so_is_no_seed_of_sets(monkeypatch):
+    own = (1e-4,) * 3 + (0.0,) * 3
+    load = SimpleNamespace(mass_kg=0.25)
+    tool = SimpleNamespace(load=load, adapter=load)
+    observation = SimpleNamespace(recording=SimpleNamespace(tool=tool, inertial_forces=False))
+    parts = [SimpleNamespace(effect=InertialLoad.name)]
+    for mass_kg, can_be in ((0.01, False), (0.4, True)):
+        fit = SimpleNamespace(effects=(InertialLoad(mass_kg, own_inertia_kg_m2=own),))
+        monkeypatch.setattr(search, "refine", lambda *_, fit=fit: fit)
+        forms = SimpleNamespace(behind=None)
+        assert search._fit(observation, forms, parts, [None], 0.0) == [fit] * can_be
 
 
 @dataclass(frozen=True)
