@@ -52,6 +52,7 @@ from galen_diagnosis.inference.structure import (
     BY_TIME,
     Structure,
     oscillation,
+    own_past,
     remaining_energy,
     structures,
 )
@@ -167,6 +168,11 @@ def explore(recording: DiagnosticRecording, progress: Progress | None = None) ->
         for one in scored(of, left, max(answered(best, clear), varied))
     ]
     fitted = {one.names[0] for one in sums if len(one.names) == 1}
+    past = None
+    if recording.readings is None:
+        past = own_past(observation, found.behind, found.none.raw_rows)
+        sums = [one if one.names else replace(one, structure=past.log_bayes) for one in sums]
+        past = past._replace(log_bayes=past.log_bayes - first.log_bayes)
     sums, alike = merge_equivalents(found.behind, of, sums)
     least = min(one.energy for one in sums)
     none = next(one for one in sums if not one.names)
@@ -175,7 +181,8 @@ def explore(recording: DiagnosticRecording, progress: Progress | None = None) ->
             # Not worth a fit: what its columns alone say.
             energy = max(none.energy - 2.0 * max(log, 0.0), least)
             sums.append(Scored((name,), energy, max(-log, 0.0)))
-    return Explored(observation, found, discrepancies, floor, (*seen, *varies), tuple(sums), alike)
+    all_seen = (*seen, *varies, *([past] if past else []))
+    return Explored(observation, found, discrepancies, floor, all_seen, tuple(sums), alike)
 
 
 def _swings(names: Iterable[str]) -> bool:

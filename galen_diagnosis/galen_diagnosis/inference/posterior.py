@@ -17,7 +17,7 @@ fits best, which take what the best fit leaves, L,
     l_u = max_h l_h(E_h - L) - 1/2 (nu + nu log(L / nu)),
 
 and all of E_0 where nothing listed is there; or, where that is more, structure of log evidence S
-that was found in what the best fit leaves (`structure.py`), l_u = l_h + S. "None" has nothing but
+that was found alone or in what the best fit leaves (`structure.py`), l_u = l_h + S. "None" has only
 noise and a healthy arm's excess. Probabilities go as exp(eta l - c), with c what effects and
 unknown ones cost beforehand: eta < 1 tempers evidence that is never as good as its formula
 (Grünwald, van Ommen, Bayesian Analysis 12, 2017). Energies are counted from the noise, with the
@@ -85,7 +85,7 @@ class Scored:
     """What a posterior needs of a hypothesis, and nothing else (so that settings can be fitted).
 
     names; energy: what it leaves over the noise; occam: 1/2 log det; structure: log evidence of
-    something more in what it leaves, where that was looked for.
+    something unlisted in what it leaves, where that was looked for.
     """
 
     names: tuple[str, ...]
@@ -320,6 +320,8 @@ def _log_beside(one: Scored, left: float, relief: float, settings: Settings) -> 
     spread = 1.0 + np.log(max(taken / settings.unknown_dof, 1.0))
     beside = _log(one, one.energy - taken, relief, settings)
     any_shape = beside - 0.5 * float(settings.unknown_dof * spread)
+    if not one.names:  # what structure there is alone has paid for itself, as listed ones have
+        return max(any_shape, relief - 0.5 * one.energy + one.structure)
     return max(any_shape, _log(one, one.energy, relief, settings) + one.structure)
 
 

@@ -97,6 +97,7 @@ _TYPICAL = 10.0
 _KNOT_S = 8.0
 _SLOW_S = 0.25
 _MEMORY_S = (1.0, 10.0)
+_PAST_S = (1.0, 3.0, 10.0, 30.0)
 _HARMONICS = (1, 2, 3)
 
 
@@ -129,13 +130,51 @@ def structures(observation: Observation, behind: Background, residual: Array) ->
         columns = np.concatenate(
             [means[:, own] @ (functions / rows.scale[own, None]) for own in each], axis=1
         )
-        seen = np.maximum(np.linalg.norm(columns, axis=0), 1e-150)
-        reduced, along = behind.reduced(columns / seen, left)
-        got = evidence(reduced, along, np.full(len(seen), _TYPICAL))
-        out.append(Structure(name, got.log_bayes, got.gain))
+        out.append(_judged(name, columns, behind, left))
     looks = float(np.log(max(len(out), 1)))
     paid = [one._replace(log_bayes=one.log_bayes - looks) for one in out]
     return sorted(paid, key=lambda one: -one.log_bayes)
+
+
+def own_past(observation: Observation, behind: Background, residual: Array) -> Structure:
+    """Return the evidence that each axis of the sensor lags what it read, exponentially.
+
+    As of creep in its strain gauges (OIML R 60), which is on no list, and which a drift of any
+    shape, gains and steps together imitate: c_k (y_k - x), tau_k dy_k/dt = x - y_k, of each axis
+    for itself.
+
+    Args:
+        observation: What was measured.
+        behind: Background.
+        residual: Rows before its fit, (N,).
+
+    Returns:
+        The evidence against noise alone.
+
+    """
+    rows = observation.rows
+    means = _means(rows)
+    wrench = np.flatnonzero(rows.channel < CHANNELS.index(TIP_AXES[0]))
+    parts = []
+    for view in observation.views.values():
+        at_s, reading = view.scene.wrench_s, view.scene.reading
+        steps = np.maximum(np.diff(at_s, prepend=at_s[:1]), 0.0)
+        lags = [_low_passed(reading, np.exp(-steps / past_s)) - reading for past_s in _PAST_S]
+        parts.append(np.stack(lags, axis=2)[view.shows])
+    lag = np.concatenate(parts)
+    each = [(wrench[axis::6], lag[:, axis]) for axis in range(6)]
+    columns = np.concatenate(
+        [means[:, own] @ (lags / rows.scale[own, None]) for own, lags in each], axis=1
+    )
+    left = np.asarray(means @ residual)
+    return _judged("wrench by its own past", columns, behind.averaged(means), left)
+
+
+def _judged(name: str, columns: Array, behind: Background, left: Array) -> Structure:
+    seen = np.maximum(np.linalg.norm(columns, axis=0), 1e-150)
+    reduced, along = behind.reduced(columns / seen, left)
+    got = evidence(reduced, along, np.full(len(seen), _TYPICAL))
+    return Structure(name, float(got.log_bayes), float(got.gain))
 
 
 def _means(rows: ResidualRows) -> csc_array:
