@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Evidence of columns against its exact value, and a posterior's behaviour at its edges."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -94,6 +95,13 @@ def test_noise_alone_is_none_and_a_clear_effect_is_itself():
 def test_what_nothing_explains_is_unknown():
     of = [_scored("", 5000.0), _scored("joint_gain:tilt", 4000.0)]
     assert posterior(of, Settings()).unknown > 0.99
+
+
+def test_structure_that_explains_all_better_than_what_is_listed_is_unknown():
+    none, listed = replace(_scored("", 2000.0), structure=900.0), _scored("sensor_drift", 20.0)
+    assert posterior([none, listed], Settings()).effects["sensor_drift"] > 0.9
+    none = replace(none, structure=998.0)
+    assert posterior([none, listed], Settings()).unknown > 0.9
 
 
 def test_what_a_law_may_be_off_is_in_proportion_to_what_it_does():

@@ -10,12 +10,14 @@ from galen_diagnosis.inference.refine import nothing
 from galen_diagnosis.inference.structure import (
     coefficients,
     oscillation,
+    own_past,
     remaining_energy,
     structures,
 )
 from galen_diagnosis.observation.noise import ChannelNoise
 from galen_diagnosis.observation.observation import Observation
 from galen_diagnosis.observation.rows import CHANNELS, Stream
+from scipy.signal import lfilter
 
 
 def changed(recording, by):
@@ -58,6 +60,24 @@ def test_a_function_of_a_joint_is_seen_where_means_over_cells_see_none(healthy_s
     assert seen[0].energy > 20.0
     assert remaining_energy(observation.rows, none.rows)[0] == 0.0
     assert fast.log_bayes < 3.0
+
+
+def test_a_sensor_that_creeps_lags_its_own_past_and_a_gain_does_not(healthy_sweep):
+    def past(recording):
+        observation = Observation(recording)
+        behind = healthy_background(observation)
+        return own_past(observation, behind, nothing(observation, behind).raw_rows).log_bayes
+
+    def creep(bag):
+        share = 1.0 - np.exp(-np.median(np.diff(bag.wrench_s)) / 5.0)
+        path = lfilter([share], [1.0, share - 1.0], bag.wrenches - bag.wrenches[0], axis=0)
+        return 0.02 * (path + bag.wrenches[0] - bag.wrenches)
+
+    assert past(healthy_sweep) < 3.0
+    assert past(changed(healthy_sweep, creep)) > 30.0
+    assert past(changed(healthy_sweep, lambda bag: 0.02 * bag.wrenches)) < 0.3 * past(
+        changed(healthy_sweep, creep)
+    )
 
 
 def test_an_oscillation_is_seen_at_its_frequency_though_its_mean_is_nothing(healthy_sweep):
