@@ -437,12 +437,13 @@ class Between:
         return np.asarray(before + self._part * (after - before))
 
 
-_GAP_S = 0.3
+GAP_S = 0.3
+"""A longer time between two stamps of a bag is a gap, of which nothing is known."""
 
 
 def _interpolated(at_s: Array, known_s: Array, values: Array) -> Array:
     """Values (n, k) at known_s, linearly at at_s; ends hold, those of a gap to its middle."""
-    gaps = np.flatnonzero(np.diff(known_s) > _GAP_S)
+    gaps = np.flatnonzero(np.diff(known_s) > GAP_S)
     if len(gaps):
         middle = 0.5 * (known_s[gaps] + known_s[gaps + 1])
         known_s = np.insert(known_s, np.repeat(gaps + 1, 2), np.repeat(middle, 2))

@@ -154,8 +154,8 @@ def weighed(found: Found, discrepancies: Discrepancies) -> list[Weighed]:
         occam = 0.5 * (found.none.cost - one.cost) - one.log_bayes
         log_bayes = one.log_bayes + gain - cost
         left, occam = one.cost - 2.0 * gain, occam * _counted(one) + cost
-        both = signatures, [found.behind.left(signature) for signature in signatures]
-        out.append(Weighed(one, *both, off, rough, left, occam, log_bayes, log_rough))
+        shown = [found.behind.left(signature) for signature in signatures]
+        out.append(Weighed(one, signatures, shown, off, rough, left, occam, log_bayes, log_rough))
     for of in tuple(out):
         if len(of.shown) > 1:
             _excuse(out, of)

@@ -126,11 +126,8 @@ def structures(observation: Observation, behind: Background, residual: Array) ->
     behind, left = behind.averaged(means), np.asarray(means @ residual)
     out = []
     for name, which, functions in _families(observation):
-        each = [which[channel::6] for channel in range(6)]
-        columns = np.concatenate(
-            [means[:, own] @ (functions / rows.scale[own, None]) for own in each], axis=1
-        )
-        out.append(_judged(name, columns, behind, left))
+        each = [(which[channel::6], functions) for channel in range(6)]
+        out.append(_judged(name, rows, means, each, behind, left))
     looks = float(np.log(max(len(out), 1)))
     paid = [one._replace(log_bayes=one.log_bayes - looks) for one in out]
     return sorted(paid, key=lambda one: -one.log_bayes)
@@ -163,14 +160,22 @@ def own_past(observation: Observation, behind: Background, residual: Array) -> S
         parts.append(np.stack(lags, axis=2)[view.shows])
     lag = np.concatenate(parts)
     each = [(wrench[axis::6], lag[:, axis]) for axis in range(6)]
+    name, left = "wrench by its own past", np.asarray(means @ residual)
+    return _judged(name, rows, means, each, behind.averaged(means), left)
+
+
+def _judged(
+    name: str,
+    rows: ResidualRows,
+    means: csc_array,
+    each: Sequence[tuple[np.ndarray, Array]],
+    behind: Background,
+    left: Array,
+) -> Structure:
+    """Return the evidence of functions (n, f) in some rows (n,) each, in means of what is left."""
     columns = np.concatenate(
-        [means[:, own] @ (lags / rows.scale[own, None]) for own, lags in each], axis=1
+        [means[:, own] @ (functions / rows.scale[own, None]) for own, functions in each], axis=1
     )
-    left = np.asarray(means @ residual)
-    return _judged("wrench by its own past", columns, behind.averaged(means), left)
-
-
-def _judged(name: str, columns: Array, behind: Background, left: Array) -> Structure:
     seen = np.maximum(np.linalg.norm(columns, axis=0), 1e-150)
     reduced, along = behind.reduced(columns / seen, left)
     got = evidence(reduced, along, np.full(len(seen), _TYPICAL))

@@ -16,7 +16,7 @@ import numpy as np
 from galen_model.arm.arm import Arm
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
-from galen_sim_driver.replay import rates
+from galen_sim_driver.replay import GAP_S, rates
 
 from galen_diagnosis.observation.noise import ChannelNoise
 
@@ -230,7 +230,6 @@ def whitened(
 _STILL = (2e-3, 0.02)  # m/s, rad/s
 _FAST = (0.3, 3.0)  # m/s^2, rad/s^2
 _LEAST_STILL_S = 0.3
-_GAP_S = 0.3
 _TOUCH_N, _TOUCH_NM = 0.25, 0.02
 _TOUCH_SIGMA = 8.0
 _TOUCH_WINDOW_S = 0.1
@@ -271,7 +270,7 @@ def phases(arm: Arm, at_s: Array, joint_s: Array, joints: Array) -> Phases:
     """
     velocity, acceleration = (_at(at_s, joint_s, part) for part in rates(joint_s, joints))
     still = np.asarray(np.all(np.abs(velocity) < arm.by_unit(*_STILL), axis=1))
-    cuts = (np.diff(at_s) > _GAP_S) | (np.diff(still.astype(np.int8)) != 0)
+    cuts = (np.diff(at_s) > GAP_S) | (np.diff(still.astype(np.int8)) != 0)
     stretch = np.concatenate([[0], np.cumsum(cuts)])
     starts = np.flatnonzero(np.concatenate([[True], cuts]))
     ends = np.concatenate([starts[1:], [len(at_s)]])
