@@ -13,7 +13,13 @@ from galen_diagnosis.inference.discrepancy import (
     looks_like,
 )
 from galen_diagnosis.inference.posterior import Scored, Settings, posterior
-from galen_model.estimation.evidence import SCALES, Background, evidence
+from galen_model.estimation.evidence import (
+    SCALES,
+    Background,
+    any_shape,
+    evidence,
+    explained,
+)
 from galen_sim_driver.effects.sensor import SensorDrift
 from scipy.stats import multivariate_normal
 
@@ -36,6 +42,27 @@ def test_evidence_is_the_ratio_of_the_marginal_likelihoods():
     exact = np.log(np.mean(np.exp(ratios)))
     gram, along = behind.reduced(columns, rows)
     assert evidence(gram, along, typical).log_bayes == pytest.approx(exact, abs=1e-9)
+
+
+def test_any_shape_is_the_largest_ratio_of_the_marginal_likelihoods():
+    generator = np.random.default_rng(1)
+    nuisance, columns = generator.standard_normal((30, 2)), generator.standard_normal((30, 4))
+    columns[:, 3] = columns[:, 0] - columns[:, 1] + nuisance[:, 0]  # says nothing of its own
+    columns /= np.linalg.norm(columns, axis=0)
+    rows = generator.standard_normal(30) + columns[:, :3] @ [3.0, -2.0, 1.0] + nuisance @ [5.0, 1.0]
+    energy, directions = explained(*Background(nuisance, np.full(2, np.inf)).reduced(columns, rows))
+    assert directions == 3
+    way = np.linalg.qr(np.hstack([nuisance, columns]))[0][:, 2:5]
+    assert energy == pytest.approx(np.sum((way.T @ rows) ** 2))
+    plain = multivariate_normal(np.zeros(3), np.eye(3))
+    of_way = way.T @ rows
+    ratios = [
+        multivariate_normal(np.zeros(3), (1.0 + g) * np.eye(3)).logpdf(of_way)
+        - plain.logpdf(of_way)
+        for g in np.linspace(0.0, 40.0, 4001)
+    ]
+    assert any_shape(energy, directions) == pytest.approx(max(ratios), abs=1e-5)
+    assert any_shape(2.9, 3) == 0.0
 
 
 def test_sum_of_squares_is_that_of_the_best_fit():

@@ -43,7 +43,7 @@ def test_a_healthy_arm_leaves_nothing(healthy_sweep):
     _, none, seen, fast = left_of(healthy_sweep)
     assert seen[0].log_bayes < 3.0
     assert fast.log_bayes < 3.0
-    assert len(seen) == 6
+    assert len(seen) == 7
     assert not any(np.isnan(one.log_bayes) for one in seen)
     assert len(none.rows) > 3000
 
@@ -78,6 +78,17 @@ def test_a_sensor_that_creeps_lags_its_own_past_and_a_gain_does_not(healthy_swee
     assert past(changed(healthy_sweep, lambda bag: 0.02 * bag.wrenches)) < 0.3 * past(
         changed(healthy_sweep, creep)
     )
+
+
+def test_a_gain_that_changes_with_time_is_seen_and_a_constant_one_is_the_readings(healthy_sweep):
+    def warm(bag):
+        return 0.01 * np.sin(3.0 * bag.wrench_s / np.ptp(bag.wrench_s))[:, None] * bag.wrenches
+
+    _, _, seen, _ = left_of(changed(healthy_sweep, warm))
+    assert seen[0].name == "the wrench's gains by time"
+    assert seen[0].log_bayes > 20.0
+    _, _, seen, _ = left_of(changed(healthy_sweep, lambda bag: 0.01 * bag.wrenches))
+    assert seen[0].name != "the wrench's gains by time"
 
 
 def test_an_oscillation_is_seen_at_its_frequency_though_its_mean_is_nothing(healthy_sweep):

@@ -39,7 +39,7 @@ _LOADED = [REGIMES.index(name) for name in ("loading", "held")]
 _ANOTHER_MODEL = {"exact": 1.0, "firm": 1.0, "loose": 3.0, "rough": 8.0}
 """Log of the odds that m of about 1 is the effect, with a model that is not fitted here."""
 
-_UNSEEN, _LEAST = 0.5, 0.1
+_UNSEEN, _LEAST = 0.5, 0.03
 _DIRECTIONS = 20.0
 _ACTS = 0.1
 

@@ -7,17 +7,14 @@ sees any structure, but with thousands of cells a few hundred of energy are chan
 
 What machines do wrong is mostly a smooth function of something: of gravity's direction, the joints,
 their rates, the reading itself, what the reading was before, time, the applied load. A family of
-such functions for each, with Bayes' factor as an effect has (`Background`), sees a tenth of that,
+such functions for each, with its evidence in whatever shape (`any_shape`), sees a tenth of that,
 and names what the gap depends on where no listed effect is it.
 
 Oscillations are faster than any mean over half a second shows. A stream is cut into pieces without
 holes, each transformed by the orthonormal DCT-II: coefficient k of n oscillates at
-k * rate / (2 n), and of white noise all are independent with the noise's variance. In a band of n
-coefficients whose squares sum to E, a variance of its own, E / n, against the noise's has
-
-    log LR = 1/2 (E - n - n log(E / n)),
-
-in bands of several widths, in each channel and in all of them, less the log of the number of looks.
+k * rate / (2 n), and of white noise all are independent with the noise's variance. Bands of n
+coefficients whose squares sum to E are weighed as families are: in bands of several widths, in each
+channel and in all of them, less the log of the number of looks.
 Noise is known to _UNSURE in a band: a model of four numbers at most, fitted to rest.
 """
 
@@ -29,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
-from galen_model.estimation.evidence import Background, evidence
+from galen_model.estimation.evidence import Background, any_shape, explained
 from scipy.fft import dct
 from scipy.sparse import csc_array
 
@@ -92,8 +89,6 @@ def _cells(rows: ResidualRows) -> np.ndarray:
 
 
 BY_TIME = "wrench by time"
-_TYPICAL = 10.0
-"""Prior standard deviation of each function's coefficient, in its own standard errors."""
 _KNOT_S = 8.0
 _SLOW_S = 0.25
 _MEMORY_S = (1.0, 10.0)
@@ -124,10 +119,7 @@ def structures(observation: Observation, behind: Background, residual: Array) ->
     rows = observation.rows
     means = _means(rows)
     behind, left = behind.averaged(means), np.asarray(means @ residual)
-    out = []
-    for name, which, functions in _families(observation):
-        each = [(which[channel::6], functions) for channel in range(6)]
-        out.append(_judged(name, rows, means, each, behind, left))
+    out = [_judged(family, rows, means, behind, left) for family in _families(observation)]
     looks = float(np.log(max(len(out), 1)))
     paid = [one._replace(log_bayes=one.log_bayes - looks) for one in out]
     return sorted(paid, key=lambda one: -one.log_bayes)
@@ -151,35 +143,36 @@ def own_past(observation: Observation, behind: Background, residual: Array) -> S
     """
     rows = observation.rows
     means = _means(rows)
-    wrench = np.flatnonzero(rows.channel < CHANNELS.index(TIP_AXES[0]))
     parts = []
-    for view in observation.views.values():
-        at_s, reading = view.scene.wrench_s, view.scene.reading
+    for name, view in observation.views.items():
+        # The reading itself has the noise that is to be explained; what it should be has none.
+        at_s, load = observation.applied_load(name)
+        reading = observation.nominal_reading(name) + load
         steps = np.maximum(np.diff(at_s, prepend=at_s[:1]), 0.0)
         lags = [_low_passed(reading, np.exp(-steps / past_s)) - reading for past_s in _PAST_S]
         parts.append(np.stack(lags, axis=2)[view.shows])
-    lag = np.concatenate(parts)
-    each = [(wrench[axis::6], lag[:, axis]) for axis in range(6)]
-    name, left = "wrench by its own past", np.asarray(means @ residual)
-    return _judged(name, rows, means, each, behind.averaged(means), left)
+    family = "wrench by its own past", _wrench(rows), np.concatenate(parts)
+    return _judged(family, rows, means, behind.averaged(means), np.asarray(means @ residual))
+
+
+def _wrench(rows: ResidualRows) -> np.ndarray:
+    return np.flatnonzero(rows.channel < CHANNELS.index(TIP_AXES[0]))
 
 
 def _judged(
-    name: str,
-    rows: ResidualRows,
-    means: csc_array,
-    each: Sequence[tuple[np.ndarray, Array]],
-    behind: Background,
-    left: Array,
+    family: _Family, rows: ResidualRows, means: csc_array, behind: Background, left: Array
 ) -> Structure:
-    """Return the evidence of functions (n, f) in some rows (n,) each, in means of what is left."""
-    columns = np.concatenate(
-        [means[:, own] @ (functions / rows.scale[own, None]) for own, functions in each], axis=1
-    )
+    """Return the evidence of a family of functions in means of what is left."""
+    name, which, functions = family
+    blocks = []
+    for axis in range(6):
+        own = which[axis::6]
+        of = functions if functions.ndim == 2 else functions[:, axis]
+        blocks.append(means[:, own] @ (of / rows.scale[own, None]))
+    columns = np.concatenate(blocks, axis=1)
     seen = np.maximum(np.linalg.norm(columns, axis=0), 1e-150)
-    reduced, along = behind.reduced(columns / seen, left)
-    got = evidence(reduced, along, np.full(len(seen), _TYPICAL))
-    return Structure(name, float(got.log_bayes), float(got.gain))
+    energy, directions = explained(*behind.reduced(columns / seen, left))
+    return Structure(name, any_shape(energy, directions), energy - directions)
 
 
 def _means(rows: ResidualRows) -> csc_array:
@@ -195,24 +188,30 @@ def _means(rows: ResidualRows) -> csc_array:
 
 
 _Family = tuple[str, np.ndarray, Array]
-"""Of what they are functions, which rows (6 n,) they are in, functions (n, f) of six rows each."""
+"""Of what they are functions; which rows (6 n,) they are in; functions (n, f) of six rows each, or
+(n, 6, f) of each row its own."""
 
 
 def _families(observation: Observation) -> Iterator[_Family]:
     rows = observation.rows
     first = CHANNELS.index(TIP_AXES[0])
-    wrench = np.flatnonzero(rows.channel < first)
+    wrench = _wrench(rows)
     tip = np.flatnonzero((rows.channel >= first) & (rows.channel < first + len(TIP_AXES)))
     functions: list[Array] = []
+    readings: list[Array] = []
     loads: list[Array] = []
     for name, view in observation.views.items():
-        # The reading itself has the noise that is to be explained; what it should be has none.
-        expected = observation.nominal_reading(name)
+        expected = observation.nominal_reading(name)[view.shows]
         functions.append(_of_reading(view.scene.wrench_s[view.shows], expected))
+        readings.append(expected)
         if view.tracks:
             loads.append(_of_load(view.scene.tracker_s, *observation.applied_load(name)))
     yield from _of_arm(observation, wrench, "wrench")
     yield ("wrench by what it should be, and was", wrench, np.concatenate(functions))
+    at_s = rows.session_s[wrench[::6]]
+    turns = np.outer((at_s - at_s.min()) / max(np.ptp(at_s), 1e-9), np.pi * np.array(_HARMONICS))
+    gains = np.concatenate(readings)[:, :, None] * np.cos(turns)[:, None]
+    yield ("the wrench's gains by time", wrench, gains)
     if len(tip):
         yield from _of_arm(observation, tip, "tip")
         yield ("tip by the load on it", tip, np.concatenate(loads))
@@ -331,9 +330,9 @@ def oscillation(streams: Sequence[Stream]) -> Structure | None:
                 known_to = energy / (1.0 + _UNSURE)
                 for k in np.flatnonzero(known_to > n):
                     e = known_to[k]
-                    log = 0.5 * (e - n[k] - n[k] * np.log(e / n[k]))
+                    log = any_shape(e, n[k])
                     name = f"wrench in {stream.bag} at {k * width:g} to {(k + 1) * width:g} Hz"
-                    found.append(Structure(name, float(log), float(energy[k] - n[k])))
+                    found.append(Structure(name, log, float(energy[k] - n[k])))
             looks += int(np.sum(count > 0)) * (each + 1)
     if not found:
         return None

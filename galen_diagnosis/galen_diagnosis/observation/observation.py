@@ -204,16 +204,16 @@ class Observation:
         return changes
 
     def nominal_reading(self, name: str) -> Array:
-        """Return what the nominal arm would read at a bag's wrench rows.
+        """Return what the nominal arm would read, untouched.
 
         Args:
             name: Name of the bag.
 
         Returns:
-            Readings in ft_sensor, (nw, 6), N and N.m.
+            Readings in ft_sensor at the times of the wrench's groups, (n, 6), N and N.m.
 
         """
-        return self._none[name][0][self.views[name].shows]
+        return self._none[name][0]
 
     def applied_load(self, name: str) -> tuple[Array, Array]:
         """Return the applied wrench by the nominal arm, reading less prediction.

@@ -165,6 +165,7 @@ def chance(values: Array, covariance: Array) -> float:
 
 
 SCALES = (0.1, 0.3, 1.0, 3.0, 10.0)
+_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -446,6 +447,44 @@ class Projected(NamedTuple):
 
         """
         return np.asarray(self.columns.T @ rows - self.back.T @ self.behind.along(rows))
+
+
+def explained(gram: Array, along: Array) -> tuple[float, int]:
+    """Compute how much columns explain, and in how many directions.
+
+    Args:
+        gram: G = T^T P T of columns of norm 1, (p, p).
+        along: b = T^T P r, (p,).
+
+    Returns:
+        b^T G^+ b, and the rank of G: a direction of which the background takes all but rounding
+        doesn't count.
+
+    """
+    squares, ways = np.linalg.eigh(gram)
+    seen = squares > _ROUNDING * len(squares)
+    return float(np.sum((ways[:, seen].T @ along) ** 2 / squares[seen])), int(np.sum(seen))
+
+
+def any_shape(energy: float, directions: float) -> float:
+    """Compute the log evidence of something of unknown shape against white noise of unit variance.
+
+    Its projections on n directions have any variance g beside the noise's: Zellner's prior (1986),
+    with the g that fits best (E. I. George, D. P. Foster, Biometrika 87, 2000),
+
+        log B = 1/2 (E - n - n log(E / n)),    1 + g = E / n.
+
+    Args:
+        energy: E, sum of the projections' squares.
+        directions: n.
+
+    Returns:
+        log B; 0 where there is no more than the noise.
+
+    """
+    if energy <= directions:
+        return 0.0
+    return float(0.5 * (energy - directions - directions * np.log(energy / directions)))
 
 
 def evidence(gram: Array, projection: Array, typical: Array) -> Evidence:
