@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from galen_diagnosis.effects.forms import healthy_background
+from galen_diagnosis.inference.diagnosing import diagnose_recording
 from galen_diagnosis.inference.refine import nothing
 from galen_diagnosis.inference.structure import (
     coefficients,
@@ -91,15 +92,23 @@ def test_a_gain_that_changes_with_time_is_seen_and_a_constant_one_is_the_reading
     assert seen[0].name != "the wrench's gains by time"
 
 
+def moves(bag):
+    return np.abs(np.gradient(roll_at_wrenches(bag), bag.wrench_s)) > 0.1
+
+
+def hum(bag):
+    out = np.zeros((len(bag.wrench_s), 6))
+    out[:, 2] = 0.03 * np.sin(2.0 * np.pi * 17.3 * bag.wrench_s)  # as large as the noise
+    return out * moves(bag)[:, None]
+
+
+def test_an_oscillation_that_no_listed_effect_shares_is_unknown(healthy_sweep):
+    answer = diagnose_recording(changed(healthy_sweep, hum)).answer
+    assert answer.verdict == "unknown"
+    assert "Hz" in answer.remaining[0]["what"]
+
+
 def test_an_oscillation_is_seen_at_its_frequency_though_its_mean_is_nothing(healthy_sweep):
-    def moves(bag):
-        return np.abs(np.gradient(roll_at_wrenches(bag), bag.wrench_s)) > 0.1
-
-    def hum(bag):
-        out = np.zeros((len(bag.wrench_s), 6))
-        out[:, 2] = 0.03 * np.sin(2.0 * np.pi * 17.3 * bag.wrench_s)  # as large as the noise
-        return out * moves(bag)[:, None]
-
     observation, none, seen, fast = left_of(changed(healthy_sweep, hum))
     assert fast.name.startswith("wrench in sweep at ")
     from_hz, to_hz = (float(word) for word in fast.name.split()[4:7:2])

@@ -171,7 +171,10 @@ def explore(recording: DiagnosticRecording, progress: Progress | None = None) ->
     past = None
     if recording.readings is None:
         past = own_past(observation, found.behind, found.none.raw_rows)
-        sums = [one if one.names else replace(one, structure=past.log_bayes) for one in sums]
+        alone = past.log_bayes
+        sums = [
+            one if one.names else replace(one, structure=max(one.structure, alone)) for one in sums
+        ]
         # What remains of it is what it explains beyond the best that is listed.
         past = past._replace(log_bayes=past.log_bayes - first.log_bayes)
     sums, alike = merge_equivalents(found.behind, of, sums)
