@@ -54,7 +54,7 @@ _FAINT = 0.5
 _LEAST = 1e-3
 """A single case costs no more than this probability: the plant itself may be odd, too."""
 
-_SPREAD = (0.3, 0.5, 0.5, 0.5, 0.7, 0.4)
+_SPREAD = (0.3, 0.5, 0.5, 0.5, 0.4)
 """Prior of the settings' logarithms about where they start."""
 
 

@@ -67,8 +67,6 @@ _CLEAR = 5.0
 """Log of the odds from which on remaining structure is reported."""
 _LEAST_POSES = 4
 _NOISE_STEPS, _HARDLY_LESS = 5, 0.9
-_SINCE = 0.5
-"""Part of a healthy arm's excess over its noise that stays: a reference has most of the same."""
 
 
 @dataclass(frozen=True)
@@ -218,11 +216,6 @@ def diagnose_recording(
     """
     say = progress or (lambda what, share: None)
     settings = settings or load_settings()
-    if recording.readings is not None:
-        # Its load is fitted, or a whole map of gravity is: there is no arm that exceeds its noise.
-        settings = replace(settings, healthy=0.0)
-    elif references:
-        settings = replace(settings, healthy=_SINCE * settings.healthy)
     for one in references:
         if one.arm.joint_names != recording.arm.joint_names:
             raise GalenError(

@@ -17,11 +17,10 @@ fits best, which take what the best fit leaves, L,
     l_u = max_h l_h(E_h - L) - 1/2 (nu + nu log(L / nu)),
 
 and all of E_0 where nothing listed is there; or, where that is more, structure of log evidence S
-that was found alone or in what the best fit leaves (`structure.py`), l_u = l_h + S. "None" has only
-noise and a healthy arm's excess. Probabilities go as exp(eta l - c), with c what effects and
-unknown ones cost beforehand: eta < 1 tempers evidence that is never as good as its formula
-(Grünwald, van Ommen, Bayesian Analysis 12, 2017). Energies are counted from the noise, with the
-structure that the best fit leaves.
+that was found alone or in what the best fit leaves (`structure.py`), l_u = l_h + S. Probabilities
+go as exp(eta l - c), with c what effects and unknown ones cost beforehand: eta < 1 tempers evidence
+that is never as good as its formula (Grünwald, van Ommen, Bayesian Analysis 12, 2017). Energies are
+counted from the noise, with the structure that the best fit leaves.
 """
 
 from __future__ import annotations
@@ -50,15 +49,13 @@ from galen_diagnosis.inference.search import Found
 class Settings:
     """unknown_dof, unknown_cost: of the hypothesis that something else is there.
 
-    effect_cost: of an effect; more_cost: of each beyond the first. healthy: fraction of noise by
-    which a healthy arm's excess may exceed chance. temper: power of the evidence.
+    effect_cost: of an effect; more_cost: of each beyond the first. temper: power of the evidence.
     """
 
     unknown_dof: float = 20.0
     unknown_cost: float = 5.0
     effect_cost: float = 5.0
     more_cost: float = 3.0
-    healthy: float = 1.0
     temper: float = 0.5
 
 
@@ -290,7 +287,7 @@ def posterior(of: Sequence[Scored], settings: Settings) -> Probabilities:
 
     """
     relief = _relief(of)
-    logs = np.array([_log(one, one.energy, relief, settings) for one in of])
+    logs = np.array([_log(one, one.energy, relief) for one in of])
     costs = np.array([_cost(len(one.names), settings) for one in of])
     # Evidence is tempered, what is likely beforehand is not.
     everything = settings.temper * logs - costs
@@ -318,18 +315,16 @@ def _log_beside(one: Scored, left: float, relief: float, settings: Settings) -> 
     """Of something unlisted beside a hypothesis; all that is there, where there is no other."""
     taken = left if one.names else one.energy
     spread = 1.0 + np.log(max(taken / settings.unknown_dof, 1.0))
-    beside = _log(one, one.energy - taken, relief, settings)
+    beside = _log(one, one.energy - taken, relief)
     any_shape = beside - 0.5 * float(settings.unknown_dof * spread)
     if not one.names:  # what structure there is alone has paid for itself, as listed ones have
         return max(any_shape, relief - 0.5 * one.energy + one.structure)
-    return max(any_shape, _log(one, one.energy, relief, settings) + one.structure)
+    return max(any_shape, _log(one, one.energy, relief) + one.structure)
 
 
-def _log(one: Scored, energy: float, relief: float, settings: Settings) -> float:
+def _log(one: Scored, energy: float, relief: float) -> float:
     """Of a hypothesis, with so much energy left that it has to answer for."""
-    if not one.names:
-        return -0.5 * energy / (1.0 + settings.healthy)
-    return -0.5 * energy - one.occam + relief
+    return -0.5 * energy + (relief - one.occam if one.names else 0.0)
 
 
 def _cost(effects: int, settings: Settings) -> float:
