@@ -159,11 +159,13 @@ def explore(recording: DiagnosticRecording, progress: Progress | None = None) ->
     elif fast is not None:
         seen.append(fast)
     clear = max([one.log_bayes for one in seen], default=0.0)
+    clear = answered(best, clear, shaped=True)
     varied = max([one.log_bayes for one in varies], default=0.0)
-    left = max(answered(best, max(remaining, 2.0 * clear)), 2.0 * varied)
+    structure = max(clear, varied)
+    left = max(answered(best, remaining), 2.0 * structure)
     sums = [
         one if _swings(one.names) else replace(one, energy=one.energy + 2.0 * swing)
-        for one in scored(of, left, max(answered(best, clear), varied))
+        for one in scored(of, left, structure)
     ]
     fitted = {one.names[0] for one in sums if len(one.names) == 1}
     past = None

@@ -39,7 +39,7 @@ _LOADED = [REGIMES.index(name) for name in ("loading", "held")]
 _ANOTHER_MODEL = {"exact": 1.0, "firm": 1.0, "loose": 3.0, "rough": 8.0}
 """Log of the odds that m of about 1 is the effect, with a model that is not fitted here."""
 
-_UNSEEN, _LEAST = 0.5, 0.03
+_UNSEEN, _LEAST, _LEAST_SHAPED = 0.5, 0.1, 0.03
 _DIRECTIONS = 20.0
 _ACTS = 0.1
 
@@ -62,22 +62,25 @@ def missed(hypothesis: Hypothesis, least: float = 0.0) -> float:
     )
 
 
-def answered(hypothesis: Hypothesis, left: float) -> float:
+def answered(hypothesis: Hypothesis, left: float, *, shaped: bool = False) -> float:
     """Return what a hypothesis has to answer for of the structure that it leaves.
 
     A model also misses what no field m on such pieces shows: an instant, a corner, the healthy
     arm's own tolerances where it moves otherwise. Of an effect's energy E a part (_UNSEEN kappa)^2
-    E, of any effect _LEAST^2 E, spread over some directions, is nothing unlisted.
+    E, of any effect _LEAST^2 E, spread over some directions, is nothing unlisted; less of what is a
+    smooth function of something, which such misses are not.
 
     Args:
         hypothesis: Effects as fitted.
         left: Energy, or log evidence, of the structure.
+        shaped: It is of a smooth function, or of an oscillation.
 
     Returns:
         At most `left`, in its unit.
 
     """
-    return left / (1.0 + missed(hypothesis, _LEAST) / _DIRECTIONS)
+    least = _LEAST_SHAPED if shaped else _LEAST
+    return left / (1.0 + missed(hypothesis, least) / _DIRECTIONS)
 
 
 def gain_and_cost(

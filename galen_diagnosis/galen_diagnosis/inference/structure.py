@@ -15,7 +15,7 @@ holes, each transformed by the orthonormal DCT-II: coefficient k of n oscillates
 k * rate / (2 n), and of white noise all are independent with the noise's variance. Bands of n
 coefficients whose squares sum to E are weighed as families are: in bands of several widths, in each
 channel and in all of them, less the log of the number of looks.
-Noise is known to _UNSURE in a band: a model of four numbers at most, fitted to rest.
+Noise is known to _UNSURE in a band.
 """
 
 from __future__ import annotations
@@ -43,7 +43,8 @@ from galen_diagnosis.observation.rows import (
 
 _CELL_S = 0.5
 _SURE = 2.0
-_FLOOR_ERROR = 0.04
+_UNSURE = 0.15
+"""How well the noise is known at one frequency: its model is of four numbers, fitted to rest."""
 _LEAST_FREEDOM = 100
 """Degrees of freedom from which on rows show their noise better than it is known."""
 
@@ -69,7 +70,7 @@ def remaining_energy(rows: ResidualRows, residual: Array) -> tuple[float, float]
     within = float(residual @ residual) - energy
     freedom = len(residual) - count
     floor = within / freedom if freedom >= _LEAST_FREEDOM else 1.0
-    chance = _SURE * floor * np.sqrt(2.0 * count) + _FLOOR_ERROR * count
+    chance = _SURE * floor * np.sqrt(2.0 * count) + _UNSURE * count
     return max(0.0, energy - count * floor - chance), floor
 
 
@@ -294,7 +295,6 @@ _HOLE = 3.0
 """A step of more than this many median steps is a hole."""
 _WIDTHS_HZ = (0.5, 2.0, 8.0)
 _FROM_HZ = 1.0
-_UNSURE = 0.15
 
 
 def oscillation(streams: Sequence[Stream]) -> Structure | None:
