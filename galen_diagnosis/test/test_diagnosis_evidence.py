@@ -177,12 +177,12 @@ def test_only_where_an_effect_acts_may_it_be_taken_for_another():
 
 
 def test_structure_that_was_found_is_evidence_for_something_unlisted():
-    gain = _scored("joint_gain:tilt", 59.0)
-    chances = [
-        posterior([Scored((), 60.0, 0.0, structure), gain], Settings()).unknown
-        for structure in (0.0, 30.0)
-    ]
-    assert chances[1] > 0.9 > 0.1 > chances[0]
+    def unknown(structure):
+        left = 2.0 * structure
+        gain = _scored("joint_gain:tilt", left)
+        return posterior([Scored((), left + 1.0, 0.0, structure), gain], Settings()).unknown
+
+    assert unknown(30.0) > 0.9 > 0.1 > unknown(0.0)
 
 
 def test_a_second_effect_keeps_its_evidence_beside_a_large_one():
