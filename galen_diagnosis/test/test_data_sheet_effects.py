@@ -47,7 +47,7 @@ def with_lag(observation, effect):
     """The recording as a sensor with this hysteresis would read it."""
     recording = observation.recording
     bag, view = recording.bags["sweep"], observation.views["sweep"]
-    thin = observation.nominal_reading("sweep")[observation.views["sweep"].shows]
+    thin = observation.nominal_reading("sweep")[view.shows]
     at_s = view.scene.wrench_s[view.shows]
     load = np.stack([np.interp(bag.wrench_s, at_s, axis) for axis in thin.T], axis=1)
     lag = effect.lag(Instants("sweep", bag.wrench_s, bag.wrench_s), load)

@@ -158,8 +158,7 @@ def explore(recording: DiagnosticRecording, progress: Progress | None = None) ->
         swing = max(fast.log_bayes, 0.0)
     elif fast is not None:
         seen.append(fast)
-    clear = max([one.log_bayes for one in seen], default=0.0)
-    clear = answered(best, clear, shaped=True)
+    clear = answered(best, max([one.log_bayes for one in seen], default=0.0), shaped=True)
     varied = max([one.log_bayes for one in varies], default=0.0)
     structure = max(clear, varied)
     left = max(answered(best, remaining), 2.0 * structure)
