@@ -10,9 +10,11 @@ from galen_diagnosis.effects.drift import SENSOR_DRIFT
 from galen_diagnosis.effects.registry import record_of
 from galen_diagnosis.inference.discrepancy import (
     Discrepancies,
+    Weighed,
     looks_like,
 )
 from galen_diagnosis.inference.posterior import Scored, Settings, posterior
+from galen_diagnosis.inference.refine import refine
 from galen_model.estimation.evidence import (
     SCALES,
     Background,
@@ -21,6 +23,7 @@ from galen_model.estimation.evidence import (
     explained,
 )
 from galen_sim_driver.effects.sensor import SensorDrift
+from scipy.sparse import csc_array
 from scipy.stats import multivariate_normal
 
 
@@ -142,11 +145,49 @@ def test_what_a_law_may_be_off_is_in_proportion_to_what_it_does():
     observation = SimpleNamespace(rows=rows, unknowns=1)
     behind = Background(np.zeros((count, 1)), np.ones(1))
     part = SimpleNamespace(effect="cable_drag")
-    fit = SimpleNamespace(parts=(part,), effects=(None,), changes=lambda observation: [signature])
+    fit = SimpleNamespace(
+        parts=(part,), names=("cable_drag",), effects=(None,), changes=lambda _: [signature]
+    )
     off = Discrepancies(observation, behind).of(fit)[0].toarray()
     size = record_of("cable_drag").kappa
     np.testing.assert_allclose(np.sum(off**2, axis=1), (size * signature) ** 2, atol=1e-12)
     assert np.linalg.matrix_rank(off) > 10
+
+
+def test_numbers_do_not_make_up_for_what_is_fitted_beside():
+    """Of 2 s and an offset of the first rows the fit has to find 2."""
+    signature, first = np.sin(np.arange(60) / 3.0) + 0.5, (np.arange(60) < 20).astype(float)
+    rows = 2.0 * signature + 5.0 * first
+    observation = SimpleNamespace(
+        unknowns=12, residual=lambda effects, unknown: rows - effects[0][0] * signature
+    )
+    part = SimpleNamespace(
+        effect="backlash", start=np.zeros(1), typical=np.ones(1), columns=signature[:, None],
+        bonus=0.0, limits=lambda: (np.full(1, -10.0), np.full(1, 10.0)), at=lambda values: values,
+        unsimulated=lambda values: 0.0, jacobian=lambda *_: signature[:, None],
+    )  # fmt: skip
+    behind = Background(np.zeros((60, 12)), np.ones(12))
+    alone = refine(observation, behind, [part], [np.ones(1)])
+    beside = refine(
+        observation, behind, [part], [np.ones(1)], nuisance=csc_array(9 * first[:, None])
+    )
+    assert beside.values[0][0] == pytest.approx(2.0, abs=0.05)
+    assert abs(alone.values[0][0] - 2.0) > 0.5
+    # F counts without what was fitted beside.
+    assert beside.cost > alone.cost > 100.0
+
+
+def test_a_model_that_fits_misses_less():
+    part = SimpleNamespace(effect="deflection_hysteresis")
+    fit = SimpleNamespace(
+        parts=(part,), names=(part.effect,), energies_explained=lambda: (20_000.0,)
+    )
+    rough, fine = (
+        Weighed(fit, [], [], None, None, scale, 0.0, 0.0, 0.0, 0.0) for scale in (1.0, 0.1)
+    )
+    assert fine.missed() == pytest.approx(0.01 * rough.missed())
+    assert fine.missed(least=0.1) == pytest.approx(0.01 * 20_000.0)
+    assert rough.answered(30.0) < 1.0 < fine.answered(30.0, shaped=True)
 
 
 def test_a_drift_may_be_as_rough_between_knots_as_it_is_over_them():

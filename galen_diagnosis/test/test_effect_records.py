@@ -61,10 +61,11 @@ def test_what_cannot_be_so_is_no_seed_of_sets(monkeypatch):
     observation = SimpleNamespace(recording=SimpleNamespace(tool=tool, inertial_forces=False))
     parts = [SimpleNamespace(effect=InertialLoad.name)]
     for mass_kg, can_be in ((0.01, False), (0.4, True)):
-        fit = SimpleNamespace(effects=(InertialLoad(mass_kg, own_inertia_kg_m2=own),))
+        fit = SimpleNamespace(effects=(InertialLoad(mass_kg, own_inertia_kg_m2=own),), cost=0.0)
         monkeypatch.setattr(search, "refine", lambda *_, fit=fit: fit)
-        forms = SimpleNamespace(behind=None)
-        assert search._fit(observation, forms, parts, [None], 0.0) == [fit] * can_be
+        discrepancies = SimpleNamespace(on_the_way=lambda *_: None, weigh=lambda _, fit, cost: fit)
+        fits = search._Fits(observation, SimpleNamespace(behind=None), discrepancies, fit)
+        assert fits.of(parts, [None]) == [fit] * can_be
 
 
 @dataclass(frozen=True)

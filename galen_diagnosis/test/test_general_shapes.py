@@ -56,7 +56,14 @@ def test_friction_in_a_joint_holds_its_threshold_back():
     np.testing.assert_allclose(
         np.abs(behind[2]), np.abs(column) * 0.1 / GALEN.joints[tilt].stiffness
     )
-    assert 0.0 < joint.residual_fraction(GALEN.home, TIP_M, GALEN) < 1.0
+    rubs = joint.of_numbers(np.linspace(0.5, 0.9, len(joint.plays)), np.full(len(joint.plays), 0.2))
+    moved = []
+    for push in 10.0 * np.eye(3):
+        there = loading(np.stack([push, np.zeros(3)]))
+        moved.append((there.elastic + rubs.deflect(instants(2), there))[:, :3])
+    pushed, stayed = np.sum(np.square(moved), axis=(0, 2))
+    told = rubs.residual_fraction(GALEN.home, TIP_M, GALEN)
+    assert 0.01 < told == pytest.approx(np.sqrt(stayed / pushed), rel=1e-3)
     assert none.residual_fraction(GALEN.home, TIP_M, GALEN) == 0.0
 
 

@@ -237,17 +237,21 @@ class FrictionInJoints(Effect):
             A share, 0 without friction.
 
         """
-        compliance = arm.tip_compliance(joints, tip_m)
-        stayed = largest = 0.0
-        for push in _PUSH_N * np.eye(6)[:3]:
-            wrench = np.stack([push, np.zeros(6)])
-            elastic = wrench @ compliance.T
-            loading = Loading(np.tile(joints, (2, 1)), wrench, elastic, tip_m, arm)
-            behind = self.deflect(Instants("", np.arange(2.0), np.arange(2.0)), loading)
-            moved = elastic if behind is None else elastic + behind
-            largest += float(moved[0, :3] @ moved[0, :3])
-            stayed += float(moved[1, :3] @ moved[1, :3])
-        return float(np.sqrt(stayed / largest))
+        pushes = _PUSH_N * np.eye(6)[:3]
+        columns, elastic = (
+            joint_columns(joints, tip_m, arm),
+            pushes @ arm.tip_compliance(joints, tip_m),
+        )
+        k = np.array([joint for own, _ in self.plays for joint in own], dtype=int)
+        count = [len(own) for own, _ in self.plays]
+        limits, weights = np.repeat(self.thresholds, count), np.repeat(self.weights, count)
+        loads = pushes @ columns[:, k]
+        taken = np.clip(loads, -limits, limits)
+        left = np.clip(taken - loads, -limits, limits)
+        pushed, stayed = (
+            one * weights / joint_stiffness(arm)[k] @ columns[:3, k].T for one in (taken, left)
+        )
+        return float(np.sqrt(np.sum(stayed**2) / np.sum((elastic[:, :3] - pushed) ** 2)))
 
 
 def _played(loads: Array, limits: Array) -> Array:

@@ -134,10 +134,8 @@ def _evidences(
         along[number] = part.T @ towards_own[here]
     # From bins to all rows from a time on.
     grams, cross, along = (np.cumsum(a[::-1], axis=0)[::-1][1:] for a in (grams, cross, along))
-    nuisance = behind.dot(rows)
-    count = len(after)
-    back = behind.solve(cross.transpose(1, 0, 2).reshape(cross.shape[1], -1))
-    back = back.reshape(cross.shape[1], count, width).transpose(1, 0, 2)
-    reduced = grams - np.einsum("mni,mnj->mij", cross, back)
-    towards = along - np.einsum("mni,n->mi", back, nuisance)
+    half = behind.half(cross.transpose(1, 0, 2).reshape(cross.shape[1], -1))
+    half = half.reshape(cross.shape[1], len(after), width).transpose(1, 2, 0)
+    reduced = grams - half @ half.transpose(0, 2, 1)
+    towards = along - half @ behind.half(behind.dot(rows))
     return evidences(0.5 * (reduced + reduced.transpose(0, 2, 1)), towards, typical)

@@ -257,6 +257,7 @@ SENSOR_HYSTERESIS = DiagnosedEffect(
     healthy=True,
     forms=no_forms,
     columns=lagging_candidates,
+    most_forms=2,
     hidden_in_table=lambda table, _: "the way from reading to reading isn't in a table",
     known="rough",
     by_second=True,
@@ -300,6 +301,7 @@ _SAME = 1e-7
 _NEAR_SIGMAS = 2.5
 _LEAST_RUN_S = 0.08
 _BEYOND = (2.0, 2.0, 2.0, 0.1, 0.1, 0.1)
+_ORDERS = (1, 3, 5, 7)
 _WORTH_EACH, _WORTH_MOST = 0.5, 40.0
 _POWER, _FAR, _SHORT = 20.0, 1.5, np.array([0.02])
 
@@ -312,7 +314,7 @@ def saturation_candidates(observation: Observation, zero: Array) -> list[Candida
         zero: Columns of the sensor's zero, (N, 6).
 
     Returns:
-        A form for each axis with a pile; its numbers are the loads beyond, two a clipped push.
+        A form for each axis with a pile; its numbers are the loads beyond, four a clipped push.
 
     """
     found = []
@@ -323,7 +325,8 @@ def saturation_candidates(observation: Observation, zero: Array) -> list[Candida
         noise = max(one[axis].std for one in observation.noise.values())
         for limit, bonus in _piles(np.abs(readings), noise):
             beyond = _beyond(observation, zero, axis, limit, noise)
-            typical = np.full(beyond.shape[1], _BEYOND[axis])
+            runs = beyond.shape[1] // len(_ORDERS)
+            typical = np.tile(_BEYOND[axis] / np.array(_ORDERS), runs)
             effect = simulated.SensorSaturation(limit=limit, axis=name)
             one = linear_form(effect, f"{name} {limit:.4g}", beyond, typical)
             # Where readings pile up is known to the noise of one of them.
@@ -398,7 +401,7 @@ def _piles(sizes: Array, noise: float) -> list[tuple[float, float]]:
 
 
 def _beyond(observation: Observation, zero: Array, axis: int, limit: float, noise: float) -> Array:
-    """Columns (N, p): two for each push that the axis clips."""
+    """Columns (N, p): a few sines for each push that the axis clips, from a bump to a plateau."""
     columns = []
     for name, view in observation.views.items():
         if not view.tracks:
@@ -414,7 +417,7 @@ def _beyond(observation: Observation, zero: Array, axis: int, limit: float, nois
             u = (observation.rows.bag_s - start) / (end - start)
             inside = (u > 0.0) & (u < 1.0) & (here != 0.0)
             if inside.any():
-                for order in (1, 3):
+                for order in _ORDERS:
                     shape = np.where(inside, np.sin(order * np.pi * u), 0.0)
                     columns.append(sign * here * shape)
     if not columns:

@@ -13,7 +13,6 @@ from galen_model.arrays import Array
 from galen_model.errors import GalenError
 from galen_model.estimation.evidence import Background, evidence
 from scipy.linalg import block_diag
-from scipy.sparse import hstack
 
 from galen_diagnosis.answer.answer import (
     NO_GAP,
@@ -31,7 +30,6 @@ from galen_diagnosis.effects.registry import RECORDS, record_of, sought
 from galen_diagnosis.experiment.next_experiment import Experiment, propose
 from galen_diagnosis.experiment.separation import Alternative
 from galen_diagnosis.inference.budget import budget, lies_within, tolerances_after
-from galen_diagnosis.inference.discrepancy import Discrepancies, answered
 from galen_diagnosis.inference.earlier import after
 from galen_diagnosis.inference.excluded import excluded_effects
 from galen_diagnosis.inference.gap import Gap, covariance, held_out_gap, parameters, unknowns_alone
@@ -40,11 +38,11 @@ from galen_diagnosis.inference.posterior import (
     Probabilities,
     Scored,
     Settings,
+    excused,
     load_settings,
     merge_equivalents,
     posterior,
     scored,
-    weighed,
 )
 from galen_diagnosis.inference.refine import Hypothesis, refine
 from galen_diagnosis.inference.search import Found, search
@@ -80,7 +78,6 @@ class Explored:
 
     observation: Observation
     found: Found
-    discrepancies: Discrepancies
     floor: float
     structures: tuple[Structure, ...]
     scored: tuple[Scored, ...]
@@ -137,8 +134,7 @@ def explore(recording: DiagnosticRecording, progress: Progress | None = None) ->
     say = progress or (lambda what, share: None)
     observation = Observation(recording)
     found = search(observation, progress)
-    discrepancies = Discrepancies(observation, found.behind)
-    of = weighed(found, discrepancies)
+    of = excused(found)
     first, best = of[0], of[0].hypothesis
     say("what the best fit leaves", 0.86)
     behind = found.behind.beside(best.columns).beside(first.off, 1.0)
@@ -149,7 +145,7 @@ def explore(recording: DiagnosticRecording, progress: Progress | None = None) ->
         if not (first.rough.shape[1] and one.name == BY_TIME)
     ]
     behind = behind.beside(first.rough, 1.0)
-    varies = discrepancies.varying(behind, best, first.signatures, first.shown)
+    varies = found.discrepancies.varying(behind, first)
     remaining, floor = remaining_energy(observation.rows, behind.left(best.raw_rows))
     healthy = found.forms.tolerances.effects(best.background)
     fast = oscillation(observation.streams_with((*best.effects, *healthy), best.unknowns))
@@ -158,10 +154,10 @@ def explore(recording: DiagnosticRecording, progress: Progress | None = None) ->
         swing = max(fast.log_bayes, 0.0)
     elif fast is not None:
         seen.append(fast)
-    clear = answered(best, max([one.log_bayes for one in seen], default=0.0), shaped=True)
+    clear = first.answered(max([one.log_bayes for one in seen], default=0.0), shaped=True)
     varied = max([one.log_bayes for one in varies], default=0.0)
     structure = max(clear, varied)
-    left = max(answered(best, remaining), 2.0 * structure)
+    left = max(first.answered(remaining), 2.0 * structure)
     sums = [
         one if _swings(one.names) else replace(one, energy=one.energy + 2.0 * swing)
         for one in scored(of, left, structure)
@@ -185,7 +181,7 @@ def explore(recording: DiagnosticRecording, progress: Progress | None = None) ->
             energy = max(none.energy - 2.0 * max(log, 0.0), least)
             sums.append(Scored((name,), energy, max(-log, 0.0)))
     all_seen = (*seen, *varies, *([past] if past else []))
-    return Explored(observation, found, discrepancies, floor, all_seen, tuple(sums), alike)
+    return Explored(observation, found, floor, all_seen, tuple(sums), alike)
 
 
 def _swings(names: Iterable[str]) -> bool:
@@ -231,7 +227,7 @@ def diagnose_recording(
         explored = explore(known, _part(say, number, len(references) + 1, f"{one.name}: "))
         fit = fit_of_causes(explored, settings)
         found = explored.found
-        off = hstack(explored.discrepancies.of(fit), format="csc")
+        off = explored.found.discrepancies.all_of(fit)
         tolerances = found.forms.tolerances
         numbers = tolerances_after(explored.observation, found.behind, tolerances, fit, off)
         recording = after(recording, known, tolerances, *numbers, fit)
@@ -303,7 +299,9 @@ def conclude(explored: Explored, settings: Settings, say: Progress) -> Diagnosis
         if (closed or 0.0) < 0.0:
             verdict = "unknown"  # what was fitted doesn't hold where it wasn't
     none = refine(observation, plain, (), ())
-    whole = refine(observation, plain, best.parts, best.values, None, 0.0) if best.parts else none
+    whole = none
+    if best.parts:
+        whole = refine(observation, plain, best.parts, best.values, None, 0.0, best.nuisance)
     say("where", 0.96)
     healthy = _healthy(observation, found, plain)
     causes = _causes(explored, chances, verdict, best, gap)
@@ -316,7 +314,7 @@ def conclude(explored: Explored, settings: Settings, say: Progress) -> Diagnosis
         found.behind,
         found.forms.tolerances,
         within,
-        hstack(explored.discrepancies.of(within), format="csc"),
+        found.discrepancies.all_of(within),
         explored.floor,
     )
     if verdict == UNKNOWN:  # a healthy arm's deviations then stand for what is not on the list
@@ -415,8 +413,8 @@ def within_limits(
         fit = _fitted(explored, names)
         if chance < _WEIGHED or fit is None:
             continue
-        spread = covariance(explored.observation, explored.found.behind,
-                            hstack(explored.discrepancies.of(fit), format="csc"), fit)  # fmt: skip
+        off = explored.found.discrepancies.all_of(fit)
+        spread = covariance(explored.observation, explored.found.behind, off, fit)
         within = [
             part.effect
             for part, values, where in zip(fit.parts, fit.values, fit.slices(), strict=True)
@@ -484,7 +482,7 @@ def _causes(
             if chance >= _LISTED and fit is not None and fit is not best:
                 fits.append(fit)
     for number, fit in enumerate(fits):
-        off = hstack(explored.discrepancies.of(fit), format="csc")
+        off = explored.found.discrepancies.all_of(fit)
         spread = covariance(explored.observation, found.behind, off, fit)
         found_parameters = parameters(explored.observation, fit, spread)
         for index, (part, named) in enumerate(zip(fit.parts, found_parameters, strict=True)):

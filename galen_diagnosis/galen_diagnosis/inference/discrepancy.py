@@ -11,6 +11,11 @@ constant over a piece of time in one group of channels, and over one channel of 
 
 so that D = [s on each piece, s on each channel] kappa / sqrt(2) are columns with unit priors.
 
+Friction, or a gap, comes to a place in a state that nobody has recorded. Further columns of D let
+each axis of the tip stand off there by as much as the effect moves it, until each axis of the load
+has been at _ENOUGH of its largest. They are fitted beside where the effect's numbers are sought,
+too (`refine`): else these would make up for them.
+
 Where kappa has to be 1 the effect's size changes from piece to piece as much as it is large: then
 something acts like the effect, and is another one: `Discrepancies.varying`.
 """
@@ -18,6 +23,7 @@ something acts like the effect, and is another one: `Discrepancies.varying`.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from galen_model.arrays import Array
@@ -25,6 +31,7 @@ from galen_model.estimation.evidence import Background
 from scipy.linalg import cholesky, solve_triangular
 from scipy.sparse import csc_array, hstack
 
+from galen_diagnosis.effects.candidates import Candidate
 from galen_diagnosis.effects.diagnosed_effect import DiagnosedEffect
 from galen_diagnosis.effects.registry import record_of
 from galen_diagnosis.inference.refine import Hypothesis
@@ -42,77 +49,133 @@ _ANOTHER_MODEL = {"exact": 1.0, "firm": 1.0, "loose": 3.0, "rough": 8.0}
 _UNSEEN, _LEAST, _LEAST_SHAPED = 0.5, 0.1, 0.03
 _DIRECTIONS = 20.0
 _ACTS = 0.1
+_NEGLIGIBLE = 0.1
+"""Information about a number of unit prior that is none."""
+_INPUTS_FREE = 0.8
+_SCALES = (0.0, 0.1, 0.3, 1.0)
+"""Of what models are off, over what they usually may be, and of what a drift does between its
+knots, over what it does from knot to knot."""
 
 
-def missed(hypothesis: Hypothesis, least: float = 0.0) -> float:
-    """Return the energy that models miss where no field m shows it: a part of what they explain.
+@dataclass(frozen=True)
+class Weighed:
+    """A hypothesis with what its models may be off, D (N, M), in two parts.
 
-    Args:
-        hypothesis: Effects as fitted.
-        least: Of each effect, as a part of its amplitude.
-
-    Returns:
-        Energy in units of the noise's variance; 0 without effects.
-
+    signatures: its effects'; shown: what the background leaves of them; off: by the signatures and
+    what they remember; rough: of drifts between their knots. scale: of kappa, root mean square by
+    its posterior. energy: F at the minimum with D fitted beside; occam: 1/2 log det of all;
+    log_bayes: against none; log_rough: how much of it is by `rough`.
     """
-    energies = zip(hypothesis.parts, hypothesis.energies_explained(), strict=True)
-    return sum(
-        max(_UNSEEN * record_of(part.effect).kappa, least) ** 2 * energy
-        for part, energy in energies
-    )
+
+    hypothesis: Hypothesis
+    signatures: list[Array]
+    shown: list[Array]
+    off: csc_array
+    rough: csc_array
+    scale: float
+    energy: float
+    occam: float
+    log_bayes: float
+    log_rough: float
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The effects' names."""
+        return self.hypothesis.names
+
+    def missed(self, least: float = 0.0) -> float:
+        """Return the energy that models miss where no field m shows it: a part of theirs.
+
+        Args:
+            least: Of each effect, as a part of its amplitude.
+
+        Returns:
+            Energy in units of the noise's variance; 0 without effects.
+
+        """
+        energies = zip(self.names, self.hypothesis.energies_explained(), strict=True)
+        return sum(max(_unseen(name, self.scale), least) ** 2 * energy for name, energy in energies)
+
+    def answered(self, left: float, *, shaped: bool = False) -> float:
+        """Return what a hypothesis has to answer for of the structure that it leaves.
+
+        A model also misses what no field m on such pieces shows: an instant, a corner, the healthy
+        arm's own tolerances where it moves otherwise. Of an effect's energy E a part (_UNSEEN
+        kappa)^2 E, with kappa as large as m is found, of any effect _LEAST^2 E, spread over some
+        directions, is nothing unlisted; less of what is a smooth function of something, which such
+        misses are not.
+
+        Args:
+            left: Energy, or log evidence, of the structure.
+            shaped: It is of a smooth function, or of an oscillation.
+
+        Returns:
+            At most `left`, in its unit.
+
+        """
+        least = _LEAST_SHAPED if shaped else _LEAST
+        return left / (1.0 + self.missed(least) / _DIRECTIONS)
+
+    def looks_like(self, signature: Array, but: int) -> float:
+        """Return `looks_like` of all its effects but one.
+
+        Args:
+            signature: What that one changes of the rows, (N,).
+            but: Which.
+
+        Returns:
+            A share, 0 ... 1.
+
+        """
+        pairs = list(zip(self.names, self.shown, strict=True))
+        return looks_like([*pairs[:but], *pairs[but + 1 :]], signature, self.scale)
 
 
-def answered(hypothesis: Hypothesis, left: float, *, shaped: bool = False) -> float:
-    """Return what a hypothesis has to answer for of the structure that it leaves.
-
-    A model also misses what no field m on such pieces shows: an instant, a corner, the healthy
-    arm's own tolerances where it moves otherwise. Of an effect's energy E a part (_UNSEEN kappa)^2
-    E, of any effect _LEAST^2 E, spread over some directions, is nothing unlisted; less of what is a
-    smooth function of something, which such misses are not.
-
-    Args:
-        hypothesis: Effects as fitted.
-        left: Energy, or log evidence, of the structure.
-        shaped: It is of a smooth function, or of an oscillation.
-
-    Returns:
-        At most `left`, in its unit.
-
-    """
-    least = _LEAST_SHAPED if shaped else _LEAST
-    return left / (1.0 + missed(hypothesis, least) / _DIRECTIONS)
+def _unseen(name: str, scale: float) -> float:
+    """How much of an effect's amplitude its model misses where no field m shows it."""
+    return _UNSEEN * record_of(name).kappa * scale
 
 
-def gain_and_cost(
-    behind: Background, off: csc_array, rows: Array, scales: Sequence[Array] = ()
-) -> list[tuple[float, float]]:
-    """Return what columns with unit priors are worth beside a background.
+class _Worth:
+    """What columns with unit priors are worth beside a background."""
 
-    Args:
-        behind: What is fitted beside.
-        off: Columns, (N, M).
-        rows: Whitened rows before the background's fit, (N,).
-        scales: What the columns are taken times, each (M,); none for once as they are.
+    def __init__(self, behind: Background, off: csc_array, rows: Array) -> None:
+        """Project them.
 
-    Returns:
-        By how much half the energy falls with the columns, and 1/2 log det, by scales.
+        Args:
+            behind: What is fitted beside.
+            off: Columns, (N, M).
+            rows: Whitened rows before the background's fit, (N,).
 
-    """
-    cross = behind.dot(off)
-    back = behind.solve(cross)
-    gram = (off.T @ off).toarray() - cross.T @ back
-    along = off.T @ rows - back.T @ behind.dot(rows)
-    out = []
-    for scale in scales or [np.ones(len(gram))]:
-        used = np.flatnonzero(scale)
-        inner = gram[np.ix_(used, used)] * np.outer(scale[used], scale[used])
+        """
+        cross = behind.dot(off)
+        back = behind.solve(cross)
+        self._gram = (off.T @ off).toarray() - cross.T @ back
+        self._along = off.T @ rows - back.T @ behind.dot(rows)
+
+    def at(self, scale: Array) -> tuple[float, float]:
+        """Return by how much half the energy falls with the columns, and 1/2 log det.
+
+        Args:
+            scale: What the columns are taken times, (M,).
+
+        Returns:
+            Gain and cost.
+
+        """
+        used = np.flatnonzero(scale**2 * np.diag(self._gram) > _NEGLIGIBLE)
+        inner = self._gram[np.ix_(used, used)] * np.outer(scale[used], scale[used])
         root = cholesky(np.eye(len(used)) + inner, lower=True)
-        solved = solve_triangular(root, scale[used] * along[used], lower=True)
-        out.append((0.5 * float(solved @ solved), float(np.sum(np.log(np.diag(root))))))
-    return out
+        solved = solve_triangular(root, scale[used] * self._along[used], lower=True)
+        return 0.5 * float(solved @ solved), float(np.sum(np.log(np.diag(root))))
 
 
-def looks_like(others: Sequence[tuple[str, Array]], signature: Array) -> float:
+def _telling(columns: csc_array) -> csc_array:
+    """Return columns (N, M) that tell something, under unit priors."""
+    return columns[:, columns.power(2).sum(axis=0) > _NEGLIGIBLE]
+
+
+def looks_like(others: Sequence[tuple[str, Array]], signature: Array, scale: float = 1.0) -> float:
     """Return by how much what another effect gains may be what these effects' models miss.
 
     As `answered`, but only where the others act.
@@ -120,17 +183,33 @@ def looks_like(others: Sequence[tuple[str, Array]], signature: Array) -> float:
     Args:
         others: Names and signatures (N,) of what is there.
         signature: Of another effect beside them, (N,).
+        scale: What their models are off over what they usually may be.
 
     Returns:
         A share, 0 ... 1.
 
     """
-    unseen = sum((_UNSEEN * record_of(name).kappa) ** 2 * one**2 for name, one in others)
+    unseen = sum(_unseen(name, scale) ** 2 * one**2 for name, one in others)
     unseen = np.broadcast_to(unseen, signature.shape)
     acts = unseen > _ACTS * np.mean(unseen)
     share = float(np.sum(signature[acts] ** 2) / max(np.sum(signature**2), 1e-300))
     size = float(np.sum(unseen)) / _DIRECTIONS
     return share * size / (1.0 + size)
+
+
+def _counted(hypothesis: Hypothesis) -> float:
+    """How much of Occam's factor counts against "unknown", which pays for no input.
+
+    Loads beyond a clipped axis are inputs that were not measured, two a push, and no part of the
+    effect; all listed effects but this one get them from the reading for nothing.
+    """
+    inputs = sum(
+        len(values)
+        for part, values in zip(hypothesis.parts, hypothesis.values, strict=True)
+        if part.inputs
+    )
+    total = sum(len(values) for values in hypothesis.values)
+    return 1.0 - _INPUTS_FREE * inputs / max(total, 1)
 
 
 class Discrepancies:
@@ -144,10 +223,11 @@ class Discrepancies:
         self._by_second = _pieces(observation.rows, BAGS)
         self._push_by_second = _pieces(observation.rows, ("push",))
         self._unloaded = list(_before_loads(observation))
+        self._nothing = csc_array((len(observation.rows.channel), 0))
 
     def of(
         self, hypothesis: Hypothesis, signatures: Sequence[Array] | None = None
-    ) -> tuple[csc_array, csc_array]:
+    ) -> tuple[csc_array, csc_array, csc_array]:
         """Return D of a hypothesis.
 
         Args:
@@ -155,20 +235,96 @@ class Discrepancies:
             signatures: Its effects' `signatures`; None where they aren't known yet.
 
         Returns:
-            Columns (N, M): what its models may be off, and what drifts do between their knots.
+            Columns (N, M): what its models may be off, what they remember of the way to a place,
+            and what drifts do between their knots.
 
         """
-        rows = self._observation.rows
-        off, rough = [csc_array((len(rows.channel), 0))], [csc_array((len(rows.channel), 0))]
+        rows, knots = self._observation.rows, self._unknowns.columns[:, :6]
+        off, rough = [self._nothing], [self._nothing]
         each = self.signatures(hypothesis) if signatures is None else signatures
         for part, alone, one in zip(hypothesis.parts, each, hypothesis.effects, strict=True):
             record = record_of(part.effect)
             off.append(_columns(record.kappa * alone, self._parts(record)))
-            if record.remembers:
-                off.append(self._until_loaded(alone))
             if record.between_knots is not None:
-                rough.append(record.between_knots(one, rows, self._unknowns.columns[:, :6]))
-        return hstack(off, format="csc"), hstack(rough, format="csc")
+                rough.append(record.between_knots(one, rows, knots))
+        on_the_way = self._on_the_way(hypothesis.names, each)
+        return hstack(off, format="csc"), on_the_way, hstack(rough, format="csc")
+
+    def all_of(self, hypothesis: Hypothesis) -> csc_array:
+        """Return D of a hypothesis in one.
+
+        Args:
+            hypothesis: Effects as fitted.
+
+        Returns:
+            Columns (N, M).
+
+        """
+        return hstack(self.of(hypothesis), format="csc")
+
+    def on_the_way(self, parts: Sequence[Candidate], values: Sequence[Array]) -> csc_array:
+        """Return what effects may remember of the way to a place: columns for a fit of them.
+
+        Args:
+            parts: Forms of the effects.
+            values: Numbers of each, about as large as they are.
+
+        Returns:
+            Columns (N, M), with unit priors; none for effects that remember nothing.
+
+        """
+        pairs = zip(parts, values, strict=True)
+        remembering = [pair for pair in pairs if record_of(pair[0].effect).remembers]
+        each = [self._observation.change([part.at(own)]) for part, own in remembering]
+        return self._on_the_way([part.effect for part, _ in remembering], each)
+
+    def _on_the_way(self, names: Sequence[str], each: Sequence[Array]) -> csc_array:
+        """Return displacements of the tip until it was loaded, where an effect remembers them."""
+        remembered = [
+            self._until_loaded(alone)
+            for name, alone in zip(names, each, strict=True)
+            if record_of(name).remembers
+        ]
+        return hstack([self._nothing, *remembered], format="csc")
+
+    def weigh(self, behind: Background, one: Hypothesis, none_cost: float) -> Weighed:
+        """Weigh a hypothesis with what its models may be off beside it.
+
+        Args:
+            behind: Unknowns and tolerances.
+            one: Effects as fitted.
+            none_cost: F without effects.
+
+        Returns:
+            It, with D on the likeliest of a few scales.
+
+        """
+        signatures = self.signatures(one)
+        parts = self.of(one, signatures)
+        sizes = [part.shape[1] for part in parts]
+        worth = _Worth(behind, hstack(parts, format="csc"), one.raw_rows)
+        way, scale, log_rough = [float(size > 0) for size in sizes], 1.0, 0.0
+        for k in (1, 0, 2):  # what is remembered is the most
+            if sizes[k]:
+                ways = [[*way[:k], own, *way[k + 1 :]] for own in _SCALES]
+                each = [worth.at(np.repeat(other, sizes)) for other in ways]
+                logs = np.array([gain - cost for gain, cost in each])
+                way = ways[int(np.argmax(logs))]
+                if k == 0:
+                    weights = np.exp(logs - logs.max())
+                    scale = float(np.sqrt(weights @ np.square(_SCALES) / weights.sum()))
+                log_rough = float(logs.max() - logs[0]) if k == 2 else 0.0
+        gain, cost = worth.at(np.repeat(way, sizes))
+        cost += np.count_nonzero(sizes) * np.log(len(_SCALES))
+        off, remembered, rough = (
+            _telling(own * part) for own, part in zip(way, parts, strict=True)
+        )
+        off = hstack([off, remembered], format="csc")
+        occam = 0.5 * (none_cost - one.cost) - one.log_bayes
+        log_bayes = one.log_bayes + gain - cost
+        left, occam = one.cost - 2.0 * gain, occam * _counted(one) + cost
+        shown = [behind.left(signature) for signature in signatures]
+        return Weighed(one, signatures, shown, off, rough, scale, left, occam, log_bayes, log_rough)
 
     def signatures(self, hypothesis: Hypothesis) -> list[Array]:
         """Return what each effect of a hypothesis changes of the rows beside the others.
@@ -185,35 +341,27 @@ class Discrepancies:
         """
         return [self._unknowns.left(one) for one in hypothesis.changes(self._observation)]
 
-    def varying(
-        self,
-        behind: Background,
-        hypothesis: Hypothesis,
-        signatures: Sequence[Array],
-        shown: Sequence[Array],
-    ) -> list[Structure]:
+    def varying(self, behind: Background, of: Weighed) -> list[Structure]:
         """Return the evidence that each effect's size changes as another effect's would.
 
         Less what the other effects' models may miss there (`looks_like`).
 
         Args:
             behind: All that was fitted.
-            hypothesis: Effects as fitted.
-            signatures: The effects'.
-            shown: What the unknowns and tolerances leave of them.
+            of: Effects as fitted.
 
         Returns:
             One for each effect, in their order.
 
         """
         out = []
-        each = list(zip(hypothesis.names, shown, strict=True))
-        for k, (part, whole) in enumerate(zip(hypothesis.parts, signatures, strict=True)):
+        for k, (part, whole) in enumerate(zip(of.hypothesis.parts, of.signatures, strict=True)):
             record = record_of(part.effect)
             columns = _columns(whole, self._parts(record))
-            ((gain, cost),) = gain_and_cost(behind, columns, hypothesis.raw_rows)
+            worth = _Worth(behind, columns, of.hypothesis.raw_rows)
+            gain, cost = worth.at(np.ones(columns.shape[1]))
             log = gain - cost - _ANOTHER_MODEL[record.known]
-            log *= 1.0 - looks_like([*each[:k], *each[k + 1 :]], shown[k])
+            log *= 1.0 - of.looks_like(of.shown[k], k)
             out.append(Structure(f"size of {part.effect}, by time and load", log, 2.0 * gain))
         return out
 
@@ -267,7 +415,7 @@ def _columns(signature: Array, of: np.ndarray) -> csc_array:
     return csc_array((values, where), shape=(len(signature), len(parts)))
 
 
-_ENOUGH = 0.5
+_ENOUGH = 0.2
 
 
 def _before_loads(observation: Observation) -> Iterator[tuple[np.ndarray, np.ndarray]]:

@@ -26,7 +26,6 @@ import numpy as np
 from galen_model.arrays import Array
 from galen_model.estimation.evidence import Background, evidence
 from scipy.optimize import brentq
-from scipy.sparse import hstack
 
 from galen_diagnosis.answer.answer import NO_GAP, UNKNOWN, Excluded, FoundCause
 from galen_diagnosis.effects.candidates import Candidate, plain_form
@@ -107,7 +106,7 @@ def excluded_effects(
     observation, found = explored.observation, explored.found
     behind, beside = found.behind, Scored((), 0.0, 0.0)
     if chosen is not None:
-        off = hstack(explored.discrepancies.of(chosen), format="csc")
+        off = explored.found.discrepancies.all_of(chosen)
         behind = behind.beside(chosen.columns).beside(off, 1.0)
         fits = [one for one in explored.scored if set(one.names) == set(chosen.names)]
         beside = min(fits, key=lambda one: one.energy)

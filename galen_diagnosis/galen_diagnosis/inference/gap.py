@@ -117,6 +117,7 @@ def held_out_gap(
             hypothesis.values,
             ~out,
             none_cost=0.0,
+            nuisance=hypothesis.nuisance,
         )
         first = observation.unknowns
         healthy = behind.columns[:, first:] @ fitted.background[first:]

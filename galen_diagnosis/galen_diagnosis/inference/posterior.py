@@ -29,19 +29,11 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib import resources
-from itertools import product
 
 import numpy as np
-from galen_model.arrays import Array
 from galen_model.estimation.evidence import Background
-from scipy.sparse import csc_array, hstack
 
-from galen_diagnosis.inference.discrepancy import (
-    Discrepancies,
-    gain_and_cost,
-    looks_like,
-)
-from galen_diagnosis.inference.refine import Hypothesis
+from galen_diagnosis.inference.discrepancy import Weighed
 from galen_diagnosis.inference.search import Found
 
 
@@ -67,11 +59,7 @@ def load_settings() -> Settings:
     return Settings(**json.loads(file.read_text(encoding="utf-8"))["settings"])
 
 
-_INPUTS_FREE = 0.8
 _FULL, _REST = 30.0, 0.1
-_SCALES = (0.0, 0.1, 0.3, 1.0)
-"""Of what models are off, over what they usually may be, and of what a drift does between its
-knots, over what it does from knot to knot."""
 _AS_LIKELY = 10.0
 APART = 3.3
 """Two causes nearer than this in units of the noise can't be distinguished (study of diagnosis)."""
@@ -101,59 +89,20 @@ class Probabilities:
     effects: dict[str, float]
 
 
-@dataclass(frozen=True)
-class Weighed:
-    """A hypothesis with what its models may be off, D (N, M), in two parts.
-
-    signatures: its effects'; shown: what the background leaves of them; off: by the signatures;
-    rough: of drifts between their knots. energy: F at the minimum with D fitted beside; occam: 1/2
-    log det of all; log_bayes: against none; log_rough: how much of it is by `rough`.
-    """
-
-    hypothesis: Hypothesis
-    signatures: list[Array]
-    shown: list[Array]
-    off: csc_array
-    rough: csc_array
-    energy: float
-    occam: float
-    log_bayes: float
-    log_rough: float
-
-
-def weighed(found: Found, discrepancies: Discrepancies) -> list[Weighed]:
-    """Weigh all hypotheses.
+def excused(found: Found) -> list[Weighed]:
+    """Return all hypotheses, without what a fuller set gains that their models may miss.
 
     What an effect gains beside others may be what their models miss (`looks_like`).
 
     Args:
         found: What a search left.
-        discrepancies: What models may be off in this recording.
 
     Returns:
         Hypotheses with what their models may be off, the likeliest first.
 
     """
-    out: list[Weighed] = []
-    for one in found.hypotheses:
-        signatures = discrepancies.signatures(one)
-        off, rough = discrepancies.of(one, signatures)
-        ways = list(product(*(_SCALES if part.shape[1] else (0.0,) for part in (off, rough))))
-        scales = [np.repeat(way, (off.shape[1], rough.shape[1])) for way in ways]
-        columns = hstack([off, rough], format="csc")
-        worth = gain_and_cost(found.behind, columns, one.raw_rows, scales)
-        logs = [gain - cost - np.log(len(ways)) for gain, cost in worth]
-        best = int(np.argmax(logs))
-        (gain, cost), (scale, rough_scale) = worth[best], ways[best]
-        cost += np.log(len(ways))
-        off, rough = scale * off, rough_scale * (rough if rough_scale else rough[:, :0])
-        log_rough = logs[best] - logs[ways.index((scale, 0.0))]
-        occam = 0.5 * (found.none.cost - one.cost) - one.log_bayes
-        log_bayes = one.log_bayes + gain - cost
-        left, occam = one.cost - 2.0 * gain, occam * _counted(one) + cost
-        shown = [found.behind.left(signature) for signature in signatures]
-        out.append(Weighed(one, signatures, shown, off, rough, left, occam, log_bayes, log_rough))
-    for of in tuple(out):
+    out = list(found.weighed)
+    for of in found.weighed:
         if len(of.shown) > 1:
             _excuse(out, of)
     return sorted(out, key=lambda one: -one.log_bayes)
@@ -161,16 +110,15 @@ def weighed(found: Found, discrepancies: Discrepancies) -> list[Weighed]:
 
 def _excuse(every: list[Weighed], of: Weighed) -> None:
     """Take from sets of one effect less than `of` what their models may miss of what it gains."""
-    names = of.hypothesis.names
+    names = of.names
     for k, signature in enumerate(of.shown):
-        others = [(names[j], of.shown[j]) for j in range(len(names)) if j != k]
-        without = {name for name, _ in others}
-        same = [n for n, one in enumerate(every) if set(one.hypothesis.names) == without]
+        without = {*names[:k], *names[k + 1 :]}
+        same = [n for n, one in enumerate(every) if set(one.names) == without]
         if same:
             # Not every form: one that fits badly is no better for it.
             best = min(same, key=lambda n: every[n].energy)
             one = every[best]
-            less = max(one.energy - of.energy, 0.0) * looks_like(others, signature)
+            less = max(one.energy - of.energy, 0.0) * of.looks_like(signature, k)
             every[best] = replace(
                 one, energy=one.energy - less, log_bayes=one.log_bayes + 0.5 * less
             )
@@ -246,21 +194,6 @@ def merge_equivalents(
         if others:
             alike[names] = tuple(others)
     return merged, alike
-
-
-def _counted(hypothesis: Hypothesis) -> float:
-    """How much of Occam's factor counts against "unknown", which pays for no input.
-
-    Loads beyond a clipped axis are inputs that were not measured, two a push, and no part of the
-    effect; all listed effects but this one get them from the reading for nothing.
-    """
-    inputs = sum(
-        len(values)
-        for part, values in zip(hypothesis.parts, hypothesis.values, strict=True)
-        if part.inputs
-    )
-    total = sum(len(values) for values in hypothesis.values)
-    return 1.0 - _INPUTS_FREE * inputs / max(total, 1)
 
 
 def _relief(of: Sequence[Scored]) -> float:

@@ -20,6 +20,7 @@ from galen_model.arrays import Array
 from galen_model.estimation.evidence import Background, factor
 from galen_sim_driver.effects.effect import Effect
 from scipy.linalg import cho_solve
+from scipy.sparse import csc_array
 
 from galen_diagnosis.effects.candidates import Candidate
 from galen_diagnosis.observation.observation import UNKNOWNS, Observation, Unknowns
@@ -37,7 +38,8 @@ class Hypothesis:
     parts, values: candidates and their numbers; covariance (p, p) of all numbers in this order;
     columns (N, p): how the rows' prediction changes with them; effects; unknowns; background (n,):
     its columns' numbers, the unknowns' first; rows (N,) after the fit, background's part taken
-    away; cost: F at the minimum; log_bayes: against none.
+    away; cost: F at the minimum; log_bayes: against none. nuisance (N, M): columns that were fitted
+    beside on the way there.
     """
 
     parts: tuple[Candidate, ...]
@@ -51,6 +53,7 @@ class Hypothesis:
     raw_rows: Array
     cost: float
     log_bayes: float
+    nuisance: csc_array | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -114,6 +117,7 @@ def refine(
     start: Sequence[Array],
     keep: np.ndarray | None = None,
     none_cost: float | None = None,
+    nuisance: csc_array | None = None,
 ) -> Hypothesis:
     """Fit effects together on the simulator.
 
@@ -124,12 +128,18 @@ def refine(
         start: Numbers of each form where the fit begins, (p,).
         keep: The rows that count, (N,) bool; None for all.
         none_cost: F without effects, from which the evidence counts; None to leave F out of it.
+        nuisance: Columns (N, M) with unit priors that are fitted beside, too, on the way to the
+            minimum; F, there, is without them.
 
     Returns:
         The hypothesis at the minimum of F, or after 12 steps.
 
     """
     weight = None if keep is None else keep.astype(float)
+    whole = behind
+    if nuisance is not None:
+        shown = nuisance if weight is None else nuisance.multiply(weight[:, None]).tocsc()
+        behind = behind.beside(shown, 1.0)
     sizes = [len(values) for values in start]  # of a limit that no push reaches, none
     cuts = np.cumsum(sizes)[:-1]
     theta = _joined(start)
@@ -192,6 +202,9 @@ def refine(
             continue
         if gained < _ENOUGH:
             break
+    if nuisance is not None:
+        behind = whole
+        cost = cost_of(rows, theta)
     nu = behind.fit(rows)
     after = rows - behind.times(nu)
     covariance = np.zeros((0, 0))
@@ -220,6 +233,7 @@ def refine(
         rows,
         cost,
         log_bayes,
+        nuisance,
     )
 
 

@@ -32,7 +32,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.sparse import csc_array
 from scipy.special import logsumexp
 
@@ -233,11 +233,9 @@ class Background:
 
     @property
     def columns(self) -> Array:
-        """N (N, n), of a background without sparse columns."""
-        assert isinstance(self._block, np.ndarray)
-        if self._base is None:
-            return self._block
-        return np.concatenate([self._base.columns, self._block], axis=1)
+        """N (N, n), dense."""
+        own = self._block if isinstance(self._block, np.ndarray) else self._block.toarray()
+        return own if self._base is None else np.concatenate([self._base.columns, own], axis=1)
 
     def beside(self, more: Array | csc_array, prior_std: float = np.inf) -> Background:
         """Add columns; what is remembered counts there, too.
@@ -335,6 +333,21 @@ class Background:
 
         """
         return np.asarray(cho_solve(self._factor, projections))
+
+    def half(self, projections: Array) -> Array:
+        """Apply L^-1, with N^T N + prior = L L^T: products of two are those with `solve`.
+
+        Args:
+            projections: N^T times something, (n, ...).
+
+        Returns:
+            (n, ...).
+
+        """
+        root, lower = self._factor
+        return np.asarray(
+            solve_triangular(root, projections, trans=0 if lower else "T", lower=lower)
+        )
 
     def fit(self, rows: Array) -> Array:
         """Fit nu to rows, under the prior.
