@@ -83,27 +83,26 @@ class Weighed:
         """The effects' names."""
         return self.hypothesis.names
 
-    def missed(self, least: float = 0.0) -> float:
+    def missed(self) -> float:
         """Return the energy that models miss where no field m shows it: a part of theirs.
 
-        Args:
-            least: Of each effect, as a part of its amplitude.
-
         Returns:
-            Energy in units of the noise's variance; 0 without effects.
+            Energy in units of the noise's variance, as far as m is found; 0 without effects.
 
         """
+        return self._missed(self.scale, 0.0)
+
+    def _missed(self, scale: float, least: float) -> float:
         energies = zip(self.names, self.hypothesis.energies_explained(), strict=True)
-        return sum(max(_unseen(name, self.scale), least) ** 2 * energy for name, energy in energies)
+        return sum(max(_unseen(name, scale), least) ** 2 * energy for name, energy in energies)
 
     def answered(self, left: float, *, shaped: bool = False) -> float:
         """Return what a hypothesis has to answer for of the structure that it leaves.
 
-        A model also misses what no field m on such pieces shows: an instant, a corner, the healthy
-        arm's own tolerances where it moves otherwise. Of an effect's energy E a part (_UNSEEN
-        kappa)^2 E, with kappa as large as m is found, of any effect _LEAST^2 E, spread over some
-        directions, is nothing unlisted; less of what is a smooth function of something, which such
-        misses are not.
+        A model also misses what no field m on such pieces shows, however small m is: an instant, a
+        corner, the healthy arm's own tolerances where it moves otherwise. Of an effect's energy E a
+        part (_UNSEEN kappa)^2 E, of any effect _LEAST^2 E, spread over some directions, is nothing
+        unlisted; less of what is a smooth function of something, which such misses are not.
 
         Args:
             left: Energy, or log evidence, of the structure.
@@ -114,7 +113,7 @@ class Weighed:
 
         """
         least = _LEAST_SHAPED if shaped else _LEAST
-        return left / (1.0 + self.missed(least) / _DIRECTIONS)
+        return left / (1.0 + self._missed(1.0, least) / _DIRECTIONS)
 
     def looks_like(self, signature: Array, but: int) -> float:
         """Return `looks_like` of all its effects but one.

@@ -205,11 +205,11 @@ class _Fits:
         return out
 
     def pruned(self, hypotheses: list[Weighed]) -> list[Weighed]:
-        """Return the best fit without those of its effects that do next to nothing in it.
+        """Return the likeliest set without those of its effects that do next to nothing in it.
 
         A third effect may have helped the other two on their way to where they fit, and be idle.
         """
-        best = min((one.hypothesis for one in hypotheses), key=lambda one: one.cost)
+        best = max(hypotheses, key=lambda one: one.log_bayes).hypothesis
         explained = zip(best.energies_explained(), best.values, strict=True)
         idle = [energy < _IDLE * len(values) for energy, values in explained]
         if len(best.parts) < 2 or not any(idle) or all(idle):

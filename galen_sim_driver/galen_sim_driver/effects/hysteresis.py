@@ -233,9 +233,13 @@ def turning_points(values: Array, gate: float) -> np.ndarray:
         return np.array(turns)
     # The first value that is off by the gate tells the direction that it starts in.
     up = bool(values[int(since[far][0])] > values[0])
-    plain = values.tolist()
-    farthest, at = plain[0], 0
-    for index, value in enumerate(plain):
+    # Only where values go back, and the last, can be a turn.
+    steps = np.diff(values)
+    moves = np.flatnonzero(steps)
+    back = moves[1:][np.diff(np.sign(steps[moves])) != 0.0]
+    ends = np.concatenate([[0], back, [len(values) - 1]])
+    farthest, at = float(values[0]), 0
+    for index, value in zip(ends.tolist(), values[ends].tolist(), strict=True):
         if up:
             if value >= farthest:
                 farthest, at = value, index
