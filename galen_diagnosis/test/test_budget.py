@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from galen_diagnosis.answer.answer import RESIDUAL, BudgetItem, Interval
 from galen_diagnosis.diagnose import main
-from galen_diagnosis.effects.candidates import plain_form
+from galen_diagnosis.effects.candidates import linear_form, plain_form
 from galen_diagnosis.effects.forms import Forms
 from galen_diagnosis.effects.registry import sought
 from galen_diagnosis.inference.budget import budget
 from galen_diagnosis.inference.diagnosing import diagnose_recording
 from galen_diagnosis.inference.gap import parameters_of
-from galen_diagnosis.inference.refine import nothing
+from galen_diagnosis.inference.refine import refine
 from galen_diagnosis.observation.observation import Observation
 from galen_diagnosis.observation.recording import Earlier, read_recording
 from galen_diagnosis.simulated_recording import make_recording, sweep_poses
@@ -23,7 +23,7 @@ from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
 from galen_sim_driver.effects.joints import JointZeroOffset
 from galen_sim_driver.effects.load import ToolMassError
-from galen_sim_driver.effects.sensor import AxisGain
+from galen_sim_driver.effects.sensor import AxisGain, SensorSaturation
 from scipy.sparse import csc_array
 
 GAINS = (0.008, -0.006, 0.012, 0.0, 0.0, 0.0)
@@ -52,8 +52,8 @@ def forms(ordinary):
     return Forms(Observation(read_recording(ordinary, specification=limits)))
 
 
-def budget_of(forms, observation):
-    fit = nothing(observation, forms.behind)
+def budget_of(forms, observation, *parts):
+    fit = refine(observation, forms.behind, parts, [part.start for part in parts])
     none = csc_array((len(observation.rows), 0))
     return budget(observation, forms.behind, forms.tolerances, fit, none, 1.0)
 
@@ -74,6 +74,15 @@ def test_the_whole_gap_is_a_sum_of_shares_and_parts_are_what_was_put_in(forms):
     for got, put in zip(gains.parameters["gain"][:3], GAINS[:3], strict=True):
         assert got.low - 6e-4 < put < got.high + 6e-4
     assert gains.standing == "within" and gains.limits["gain"] == [0.02] * 6
+
+
+def test_a_limit_that_no_push_reaches_has_no_numbers(forms):
+    observation = forms._observation
+    clipped = SensorSaturation(limit=0.2, axis="tx")
+    part = linear_form(clipped, "tx 0.2", np.zeros((len(observation.rows), 0)), np.zeros(0))
+    part = replace(part, make=lambda _: clipped, inputs=True)
+    labels = [one.label for one in budget_of(forms, observation, part)]
+    assert "joint_zero_offset:tilt" in labels and "axis_gain" in labels
 
 
 @pytest.mark.parametrize("compared", [False, True])

@@ -250,7 +250,8 @@ def _joined(
                     taken.add(number)
                     places += range(place.start, place.stop)
                     which += at
-        parts.append(_Part(part, values, change, np.array(places), np.array(which)))
+        numbers = np.array([places, which], dtype=int)  # of a limit that no push reaches, none
+        parts.append(_Part(part, values, change, *numbers))
     nothing = np.zeros(len(observation.rows))
     for number, (own, place) in enumerate(tolerances.each):
         if number not in taken:
