@@ -17,9 +17,11 @@ from scipy.linalg import block_diag
 from galen_diagnosis.answer.answer import (
     NO_GAP,
     NONE,
+    RESIDUAL,
     SURE,
     UNKNOWN,
     Answer,
+    BudgetItem,
     Diagnosis,
     FoundCause,
     Interval,
@@ -298,27 +300,21 @@ def conclude(explored: Explored, settings: Settings, say: Progress) -> Diagnosis
         closed = gap.fraction.low if verdict == "identified" else gap.fraction.value
         if (closed or 0.0) < 0.0:
             verdict = "unknown"  # what was fitted doesn't hold where it wasn't
+    say("what the gap is made of", 0.96)
+    parts = _parts(explored, verdict, best)
+    more = any(one.label == RESIDUAL and one.share.value > 1.0 for one in parts)
+    if more and verdict in ("identified", "ambiguous"):
+        verdict = "unknown"  # with them more is left than without
+        parts = _parts(explored, verdict, best)
     none = refine(observation, plain, (), ())
     whole = none
     if best.parts:
         whole = refine(observation, plain, best.parts, best.values, None, 0.0, best.nuisance)
-    say("where", 0.96)
+    say("where", 0.97)
     healthy = _healthy(observation, found, plain)
     causes = _causes(explored, chances, verdict, best, gap)
     say("what next", 0.98)
     experiment = _next(explored, chances, verdict)
-    within = _in_budget(explored, verdict, best)
-    say("what the gap is made of", 0.99)
-    parts = budget(
-        observation,
-        found.behind,
-        found.forms.tolerances,
-        within,
-        found.discrepancies.all_of(within),
-        explored.floor,
-    )
-    if verdict == UNKNOWN:  # a healthy arm's deviations then stand for what is not on the list
-        parts = tuple(replace(one, probability_beyond=None) for one in parts)
     limits, readings = observation.recording.specification, observation.recording.readings
     answer = Answer(
         recording=observation.recording.name,
@@ -350,6 +346,22 @@ def conclude(explored: Explored, settings: Settings, say: Progress) -> Diagnosis
         experiment=experiment,
         healthy=healthy,
     )
+
+
+def _parts(explored: Explored, verdict: Verdict, best: Hypothesis) -> tuple[BudgetItem, ...]:
+    """Return what the gap is made of by a verdict."""
+    found, within = explored.found, _in_budget(explored, verdict, best)
+    parts = budget(
+        explored.observation,
+        found.behind,
+        found.forms.tolerances,
+        within,
+        found.discrepancies.all_of(within),
+        explored.floor,
+    )
+    if verdict == UNKNOWN:  # a healthy arm's deviations then stand for what is not on the list
+        parts = tuple(replace(one, probability_beyond=None) for one in parts)
+    return parts
 
 
 def _healthy(observation: Observation, found: Found, plain: Background) -> Array:

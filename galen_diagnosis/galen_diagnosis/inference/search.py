@@ -35,6 +35,7 @@ _BEHIND = 0.4
 """Part of the likeliest single effect's evidence below which no pair is grown from another one, and
 no general effect is fitted."""
 _MISSED = 0.1
+"""Part of what a set's models may miss that the next effect has to explain beyond."""
 _SINGLES, _PAIRS_FROM, _PAIRS, _MORE = 7, 3, 4, 1
 _MOST_TOGETHER = 5
 
