@@ -300,10 +300,12 @@ def conclude(explored: Explored, settings: Settings, say: Progress) -> Diagnosis
         closed = gap.fraction.low if verdict == "identified" else gap.fraction.value
         if (closed or 0.0) < 0.0:
             verdict = "unknown"  # what was fitted doesn't hold where it wasn't
+    limits, readings = observation.recording.specification, observation.recording.readings
     say("what the gap is made of", 0.96)
     parts = _parts(explored, verdict, best)
     more = any(one.label == RESIDUAL and one.share.value > 1.0 for one in parts)
-    if more and verdict in ("identified", "ambiguous"):
+    # Where an arm stuck before it was pushed is a residual, too: of readings only.
+    if more and readings is not None and verdict in ("identified", "ambiguous"):
         verdict = "unknown"  # with them more is left than without
         parts = _parts(explored, verdict, best)
     none = refine(observation, plain, (), ())
@@ -315,7 +317,6 @@ def conclude(explored: Explored, settings: Settings, say: Progress) -> Diagnosis
     causes = _causes(explored, chances, verdict, best, gap)
     say("what next", 0.98)
     experiment = _next(explored, chances, verdict)
-    limits, readings = observation.recording.specification, observation.recording.readings
     answer = Answer(
         recording=observation.recording.name,
         verdict=verdict,
