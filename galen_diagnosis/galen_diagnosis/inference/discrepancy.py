@@ -47,6 +47,8 @@ _ANOTHER_MODEL = {"exact": 1.0, "firm": 1.0, "loose": 3.0, "rough": 8.0}
 """Log of the odds that m of about 1 is the effect, with a model that is not fitted here."""
 
 _UNSEEN, _LEAST, _LEAST_SHAPED = 0.5, 0.1, 0.03
+_LEAST_UNSEEN = 0.01
+"""Of an effect's amplitude: no model is nearer, however small m is found."""
 _DIRECTIONS = 20.0
 _ACTS = 0.1
 _NEGLIGIBLE = 0.1
@@ -132,7 +134,7 @@ class Weighed:
 
 def _unseen(name: str, scale: float) -> float:
     """How much of an effect's amplitude its model misses where no field m shows it."""
-    return _UNSEEN * record_of(name).kappa * scale
+    return max(_UNSEEN * record_of(name).kappa * scale, _LEAST_UNSEEN)
 
 
 class _Worth:
