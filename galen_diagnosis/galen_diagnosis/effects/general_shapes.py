@@ -238,10 +238,8 @@ class FrictionInJoints(Effect):
 
         """
         pushes = _PUSH_N * np.eye(6)[:3]
-        columns, elastic = (
-            joint_columns(joints, tip_m, arm),
-            pushes @ arm.tip_compliance(joints, tip_m),
-        )
+        elastic = pushes @ arm.tip_compliance(joints, tip_m)
+        columns = joint_columns(joints, tip_m, arm)
         k = np.array([joint for own, _ in self.plays for joint in own], dtype=int)
         count = [len(own) for own, _ in self.plays]
         limits, weights = np.repeat(self.thresholds, count), np.repeat(self.weights, count)

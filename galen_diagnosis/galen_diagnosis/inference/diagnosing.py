@@ -229,7 +229,7 @@ def diagnose_recording(
         explored = explore(known, _part(say, number, len(references) + 1, f"{one.name}: "))
         fit = fit_of_causes(explored, settings)
         found = explored.found
-        off = explored.found.discrepancies.all_of(fit)
+        off = found.discrepancies.all_of(fit)
         tolerances = found.forms.tolerances
         numbers = tolerances_after(explored.observation, found.behind, tolerances, fit, off)
         recording = after(recording, known, tolerances, *numbers, fit)
