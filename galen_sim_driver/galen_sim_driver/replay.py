@@ -23,7 +23,6 @@ from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 import numpy as np
-import scipy  # its parts are loaded when they are used
 from galen_model.arm.arm import Arm
 from galen_model.arm.sensor_motion import SensorMotion, sensor_motion
 from galen_model.arrays import Array
@@ -31,6 +30,7 @@ from galen_model.load.inertia import inertial_wrench, point_mass_inertia
 from galen_model.load.model import Load, ToolGeometry
 from galen_model.registration import move_wrench
 from galen_model.rotation import rotvec_to_matrix
+from numpy.lib.stride_tricks import sliding_window_view
 
 from galen_sim_driver.effects.effect import (
     Effect,
@@ -484,8 +484,22 @@ def rates(at_s: Array, joints: Array) -> tuple[Array, Array]:
         even = np.arange(here[0], here[-1] + 0.5 * step, step)
         if len(even) <= window:
             continue
-        on_even = _interpolated(even, here, joints[rows])
-        for order, out in ((1, velocity), (2, acceleration)):
-            fitted = scipy.signal.savgol_filter(on_even, window, 3, deriv=order, delta=step, axis=0)
-            out[rows] = _interpolated(here, even, fitted)
+        first, second = _cubic_slopes(_interpolated(even, here, joints[rows]), window)
+        velocity[rows] = _interpolated(here, even, first / step)
+        acceleration[rows] = _interpolated(here, even, second / step**2)
     return velocity, acceleration
+
+
+def _cubic_slopes(values: Array, window: int) -> tuple[Array, Array]:
+    """Return first and second derivatives by the sample, of cubics through values (n, k).
+
+    Each of the window about a sample, at the ends of the first and the last. `scipy.signal` has
+    this, but takes two seconds to be imported, in every command.
+    """
+    half = window // 2
+    powers = np.vander(np.arange(-half, half + 1.0), 4, increasing=True)
+    cubics = sliding_window_view(values, window, axis=0) @ np.linalg.pinv(powers).T
+    middle = np.clip(np.arange(len(values)), half, len(values) - 1 - half)
+    at = (np.arange(len(values)) - middle)[:, None]
+    _, b, c, d = np.moveaxis(cubics[middle - half], -1, 0)
+    return b + 2.0 * c * at + 3.0 * d * at**2, 2.0 * c + 6.0 * d * at

@@ -32,6 +32,7 @@ from galen_sim_driver.effects.sensor import (
     WrenchDelay,
 )
 from galen_sim_driver.replay import Replay, rates
+from scipy.signal import savgol_filter
 from scipy.spatial.transform import Rotation
 from sim_bench import typical
 
@@ -300,6 +301,13 @@ def test_the_motion_that_effects_feel_is_that_of_the_joints():
     there = (at_s < 0.6) | (at_s > 1.4)
     found, _ = rates(at_s[there], joints_at(at_s)[there])
     assert np.abs(found - slope[there])[inner].max() < 1e-3
+    # Noise, and both ends: as SciPy's filter takes them.
+    joints = joints_at(at_s) + np.random.default_rng(3).normal(0.0, 1e-3, (len(at_s), 1))
+    step = float(np.median(np.diff(at_s)))
+    window = 2 * round(0.04 / step) + 1
+    for order, own in enumerate(rates(at_s, joints), 1):
+        expected = savgol_filter(joints, window, 3, deriv=order, delta=step, axis=0)
+        assert np.abs(own - expected).max() < 1e-6 * np.abs(expected).max()
 
 
 # --- the registry -------------------------------------------------------------------------------
