@@ -17,6 +17,7 @@ from galen_model.arrays import Array
 from galen_model.estimation.evidence import Background, Evidence, evidence
 from galen_sim_driver.effects.effect import Effect
 from galen_sim_driver.effects.joints import JointZeroOffset
+from scipy.sparse import csc_array
 
 from galen_diagnosis.effects.candidates import Candidate
 from galen_diagnosis.effects.diagnosed_effect import Sizes
@@ -215,12 +216,13 @@ def background(
         What is fitted beside every hypothesis, in this order, and its tolerances.
 
     """
+    of_table = np.ones(unknowns.shape[1] - UNKNOWNS)
+    unknown_std = [_ZERO_N] * 3 + [_ZERO_NM] * 3 + [np.inf] * 12
     places = _place_columns(observation)
-    parts = [unknowns, places]
-    own = np.ones(unknowns.shape[1] - UNKNOWNS)
-    std = [np.concatenate([[_ZERO_N] * 3 + [_ZERO_NM] * 3 + [np.inf] * 12, own])]
-    place = _zero_rad(observation) * np.array([_PLACE_M] * 3 + [_PLACE_RAD] * 3)
-    std.append(np.tile(place, places.shape[1] // 6))
+    place_std = _zero_rad(observation) * np.array([_PLACE_M] * 3 + [_PLACE_RAD] * 3)
+    behind = Background(unknowns, np.concatenate([unknown_std, of_table]))
+    behind = behind.beside(places, np.tile(place_std, places.shape[1] // 6))
+    parts, std = [np.zeros((len(unknowns), 0))], list[Array]()
     each: list[tuple[Candidate, slice]] = []
     count = 0
     for one, values in columns:
@@ -230,18 +232,16 @@ def background(
             std.append(np.atleast_1d(np.asarray(size, dtype=float)))
             each.append((one, slice(count, count + values.shape[1])))
             count += values.shape[1]
-    own = np.concatenate([np.zeros((len(places), 0)), *parts[2:]], axis=1)
-    covariance = np.diag(np.concatenate([np.zeros(0), *std[2:]]) ** 2)
+    own = np.concatenate(parts, axis=1)
+    healthy_std = np.concatenate([np.zeros(0), *std])
+    covariance = np.diag(healthy_std**2)
     mixed = np.eye(count)
     if observation.recording.earlier is None:
-        behind = Background(np.concatenate(parts, axis=1), np.concatenate(std))
+        behind = behind.beside(own, healthy_std)
     else:
         covariance += _known_before(observation.recording.earlier, each, count)
         mixed = np.linalg.cholesky(covariance)  # of numbers of unit variance
-        behind = Background(
-            np.concatenate([*parts[:2], own @ mixed], axis=1),
-            np.concatenate([*std[:2], np.ones(count)]),
-        )
+        behind = behind.beside(own @ mixed, 1.0)
     return behind, Tolerances(tuple(each), own, np.linalg.inv(covariance), mixed)
 
 
@@ -277,21 +277,16 @@ def _zero_rad(observation: Observation) -> float:
     return max([_LEAST_ZERO_RAD, *(std[0] for std in each if std is not None)])
 
 
-def _place_columns(observation: Observation) -> Array:
+def _place_columns(observation: Observation) -> csc_array:
     """Rows of the tip at each place of the arm: (N, 6 places), in the rows' units."""
     rows = observation.rows
     first = CHANNELS.index(TIP_AXES[0])
     tip = (rows.channel >= first) & (rows.channel < first + 6)
-    gain = np.zeros(len(rows))
-    # A constant becomes sqrt(n) / sigma in a row of n samples: one over the row's scale.
-    gain[tip] = 1.0 / rows.scale[tip]
     places = [number for number in np.unique(rows.pose[tip]) if number >= 0]
-    columns = np.zeros((len(rows), 6 * len(places)))
-    for k, place in enumerate(places):
-        for axis in range(6):
-            here = tip & (rows.pose == place) & (rows.channel == first + axis)
-            columns[here, 6 * k + axis] = gain[here]
-    return columns
+    # A constant becomes sqrt(n) / sigma in a row of n samples: one over the row's scale.
+    there = np.flatnonzero(tip & (rows.pose >= 0))
+    column = 6 * np.searchsorted(places, rows.pose[there]) + rows.channel[there] - first
+    return csc_array((1.0 / rows.scale[there], (there, column)), shape=(len(rows), 6 * len(places)))
 
 
 def healthy_background(observation: Observation) -> Background:

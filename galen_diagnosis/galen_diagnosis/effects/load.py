@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from galen_bags.arrays.tables import OrientationTable
+from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.files.calibration_file import CalibrationFile
 from galen_model.load.model import Load
@@ -21,7 +22,7 @@ from galen_sim_driver.effects.registry import contract_parameters
 from galen_diagnosis.effects.candidates import Candidate, floats, plain_form
 from galen_diagnosis.effects.diagnosed_effect import DiagnosedEffect, FileParts, MujocoParts
 from galen_diagnosis.effects.general_shapes import ForceField, MassAtSensor
-from galen_diagnosis.observation.observation import UNKNOWNS, Observation, Unknowns
+from galen_diagnosis.observation.observation import Observation
 from galen_diagnosis.observation.recording import DiagnosticRecording
 
 _MASS_KG, _COM_M = 0.1e-3, 0.1e-3
@@ -185,6 +186,7 @@ INERTIAL_LOAD = DiagnosedEffect(
 _REACH_M = 0.7
 """How far from the tool a cable's other end is taken to be where its fit begins."""
 _REACHES_M, _FARTHEST_M, _SMALL = (0.4, 1.0), 0.4, 1e-3
+_ROWS_OF_A_START = 6000
 _FEWEST_YAWS = 3
 
 
@@ -229,15 +231,25 @@ def _cables(observation: Observation, effect: simulated.CableDrag) -> Iterator[C
 def _anchored(
     observation: Observation, effect: simulated.CableDrag, at: Array
 ) -> simulated.CableDrag:
-    """Return the taut cable that fits the rows best of those to anchors all about the tool.
+    """Return the taut cable that fits wrenches best of those to anchors all about the tool.
 
     Where the tool goes far a field is a poor start. At an anchor a cable of tension T, attached at
-    r, that gets tighter by kappa a metre, pulls in T, T r and T kappa linearly.
+    r, that gets tighter by kappa a metre, pulls in T, T r and T kappa linearly. Some of the rows
+    tell enough for a start.
     """
-    zero = observation.change((), Unknowns.none())
-    offsets = np.stack(
-        [observation.change((), Unknowns(one)) - zero for one in np.eye(UNKNOWNS)[:6]], axis=1
-    )
+    rows = observation.rows
+    of_wrench = np.flatnonzero(rows.channel < len(WRENCH_AXES))
+    some = np.random.default_rng(0).permutation(of_wrench)[:_ROWS_OF_A_START]
+    rotation, origin = rows.arm.sensor_pose(rows.joints[some])
+    offsets = np.eye(6)[rows.channel[some]] / rows.scale[some, None]
+    nominal = observation.nominal[some]
+
+    def pulled(cable: simulated.CableDrag) -> Array:
+        _, towards = simulated.cable_line(rotation, origin, cable.anchor_m, cable.attachment_m)
+        force = cable.tension(rotation, origin)[:, None] * towards
+        wrench = np.concatenate([force, np.cross(cable.attachment_m, force)], axis=1)
+        return np.asarray(np.sum(offsets * wrench, axis=1))
+
     best: tuple[float, simulated.CableDrag] = (np.inf, effect)
     for reach_m, direction in product(_REACHES_M, _directions()):
         plain = replace(
@@ -251,11 +263,11 @@ def _anchored(
         )
         steps = [replace(plain, attachment_m=floats(_SMALL * one)) for one in np.eye(3)]
         steps.append(replace(plain, stretch_per_m=_SMALL))
-        one = observation.change([plain])
-        slopes = [(observation.change([step]) - one) / _SMALL for step in steps]
+        one = pulled(plain)
+        slopes = [(pulled(step) - one) / _SMALL for step in steps]
         columns = np.column_stack([one, *slopes, offsets])
-        found = np.linalg.solve(columns.T @ columns, columns.T @ observation.nominal)
-        left = observation.nominal - columns @ found
+        found = np.linalg.solve(columns.T @ columns, columns.T @ nominal)
+        left = nominal - columns @ found
         if found[0] > 0.0 and left @ left < best[0]:
             attachment = found[1:4] / found[0]
             farthest = max(float(np.linalg.norm(attachment)) / _FARTHEST_M, 1.0)

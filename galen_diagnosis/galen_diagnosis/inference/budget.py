@@ -223,7 +223,7 @@ def _together(
 ) -> _Together:
     columns, precision, parts = _joined(observation, tolerances, best)
     first = len(behind.prior_std) - tolerances.size
-    beside = Background(behind.columns[:, :first], behind.prior_std[:first])
+    beside = behind.first(first)
     return _Together.of(columns, precision, parts, beside, beside, best)
 
 

@@ -218,8 +218,7 @@ class Discrepancies:
 
     def __init__(self, observation: Observation, behind: Background) -> None:
         self._observation = observation
-        own = slice(observation.unknowns)
-        self._unknowns = Background(behind.columns[:, own], behind.prior_std[own])
+        self._unknowns = behind.first(observation.unknowns)
         self._pieces = _pieces(observation.rows)
         self._by_second = _pieces(observation.rows, BAGS)
         self._push_by_second = _pieces(observation.rows, ("push",))

@@ -32,7 +32,7 @@ from typing import Any
 import numpy as np
 from galen_model.arrays import Array
 from galen_model.estimation.evidence import Background
-from scipy.sparse import csc_array
+from scipy.sparse import csc_array, diags_array
 
 from galen_diagnosis.answer.answer import Interval
 from galen_diagnosis.effects.candidates import Candidate
@@ -78,8 +78,7 @@ def unknowns_alone(observation: Observation, behind: Background) -> Background:
         Its first columns with their prior.
 
     """
-    count = observation.unknowns
-    return Background(behind.columns[:, :count], behind.prior_std[:count])
+    return behind.first(observation.unknowns)
 
 
 def held_out_gap(
@@ -120,7 +119,7 @@ def held_out_gap(
             nuisance=hypothesis.nuisance,
         )
         first = observation.unknowns
-        healthy = behind.columns[:, first:] @ fitted.background[first:]
+        healthy = behind.times(np.concatenate([np.zeros(first), fitted.background[first:]]))
         before[out] = without_unknowns(observation, behind, observation.nominal - healthy, out)
         everywhere = observation.residual(fitted.effects, fitted.unknowns) - healthy
         for part in fitted.parts:
@@ -189,12 +188,13 @@ def without_unknowns(
         The m rows held out, (m,).
 
     """
-    unknowns = unknowns_alone(observation, _only(behind, ~out)).fit(np.where(out, 0.0, rows))
-    return np.asarray(rows[out] - behind.columns[out, : len(unknowns)] @ unknowns)
+    unknown = unknowns_alone(observation, behind)
+    fitted = _only(unknown, ~out).fit(np.where(out, 0.0, rows))
+    return np.asarray((rows - unknown.times(fitted))[out])
 
 
 def _only(behind: Background, keep: np.ndarray) -> Background:
-    return Background(behind.columns * keep[:, None], behind.prior_std)
+    return behind.averaged(diags_array(keep.astype(float), format="csc"))
 
 
 # Numbers

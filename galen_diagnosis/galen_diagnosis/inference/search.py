@@ -85,11 +85,12 @@ def search(observation: Observation, progress: Progress | None = None) -> Found:
     say("the likeliest, on the simulator", 0.55)
     fits = _Fits(observation, forms, Discrepancies(observation, forms.behind), none)
     singles: list[Weighed] = []
-    for log, candidate, start in _shortlist(judged, _SINGLES, _WORTH):
+    for log, candidate, theta in _shortlist(judged, _SINGLES, _WORTH):
         others = [one.log_bayes for one in singles if one.names != (candidate.effect,)]
         top = max(others, default=0.0)
         if not record_of(candidate.effect).general or log > _BEHIND * top:
-            singles += fits.of([candidate], [start])
+            begun, start = _begun(candidate, theta)
+            singles += fits.of([begun], [start])
     say("pairs", 0.7)
     seeds = _best(singles, _PAIRS_FROM)
     seeds = [one for one in seeds if one.log_bayes > _BEHIND * seeds[0].log_bayes]
@@ -122,7 +123,7 @@ def _by_effect(judged: list[tuple[Candidate, Evidence]]) -> dict[str, float]:
 def _shortlist(
     judged: list[tuple[Candidate, Evidence]], most: int, worth: float
 ) -> list[tuple[float, Candidate, Array]]:
-    """Return the likeliest forms: a few effects, of each a few forms, and where fits begin."""
+    """Return the likeliest forms: a few effects, of each a few forms, and the linear answers."""
     ordered = sorted(judged, key=lambda pair: -pair[1].log_bayes)
     taken: dict[str, int] = {}
     out = []
@@ -132,11 +133,12 @@ def _shortlist(
         number, most_forms = taken.get(candidate.effect, 0), record_of(candidate.effect).most_forms
         if number >= most_forms or (number == 0 and len(taken) >= most):
             continue
-        begun, start = _begun(candidate, found.theta)
-        if candidate.linear == 1 and np.array_equal(start, begun.start):
-            continue  # within its bounds it can't do what is seen
+        if candidate.linear == 1:
+            begun, start = _begun(candidate, found.theta)
+            if np.array_equal(start, begun.start):
+                continue  # within its bounds it can't do what is seen
         taken[candidate.effect] = number + 1
-        out.append((found.log_bayes, begun, start))
+        out.append((found.log_bayes, candidate, found.theta))
     return out
 
 
@@ -250,8 +252,8 @@ class _Fits:
             behind = behind.beside(seed.off, 1.0).beside(seed.rough, 1.0)
             judged = self._forms.judged(fit.raw_rows, behind)
             judged = [pair for pair in judged if pair[0].effect not in seed.names]
-            for log, candidate, start in _shortlist(judged, most, _WORTH_MORE):
-                chances.append((seed.log_bayes + log, fit, candidate, start))
+            for log, candidate, theta in _shortlist(judged, most, _WORTH_MORE):
+                chances.append((seed.log_bayes + log, fit, candidate, theta))
             for single in singles:
                 if single.names[0] not in seed.names:
                     log, start = self._beside(behind, fit, single.hypothesis)
@@ -264,10 +266,12 @@ class _Fits:
         chances = [chance for chance in chances if chance[0] > top - _HOPELESS]
         out: list[Weighed] = []
         seen = set()
-        for _, fit, candidate, start in chances:
-            key = frozenset(part.key for part in (*fit.parts, candidate))
-            if key in seen or len(out) >= most:
-                continue
-            seen.add(key)
-            out += self.of((*fit.parts, candidate), (*fit.values, start))
+        for _, fit, candidate, theta in chances:
+            if len(out) >= most:
+                break
+            begun, start = _begun(candidate, theta)
+            key = frozenset(part.key for part in (*fit.parts, begun))
+            if key not in seen:
+                seen.add(key)
+                out += self.of((*fit.parts, begun), (*fit.values, start))
         return out

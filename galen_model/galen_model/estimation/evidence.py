@@ -237,20 +237,17 @@ class Background:
         own = self._block if isinstance(self._block, np.ndarray) else self._block.toarray()
         return own if self._base is None else np.concatenate([self._base.columns, own], axis=1)
 
-    def beside(self, more: Array | csc_array, prior_std: float = np.inf) -> Background:
+    def beside(self, more: Array | csc_array, prior_std: float | Array = np.inf) -> Background:
         """Add columns; what is remembered counts there, too.
 
         Args:
             more: (N, m), dense or sparse.
-            prior_std: of each new unknown; infinite: without a prior.
+            prior_std: of the new unknowns, one or (m,); infinite: without a prior.
 
         Returns:
             A background of n + m columns.
 
         """
-        return self._with(more, np.full(more.shape[1], prior_std))
-
-    def _with(self, more: Array | csc_array, prior_std: Array) -> Background:
         if not more.shape[1]:
             return self
         cross, own = self.dot(more), more.T @ more
@@ -259,13 +256,31 @@ class Background:
         extended._base = self
         extended._set(
             more,
-            np.concatenate([self.prior_std, prior_std]),
+            np.concatenate([self.prior_std, np.full(more.shape[1], prior_std)]),
             np.block([[self._products, cross], [cross.T, own]]),
         )
         return extended
 
+    def first(self, count: int) -> Background:
+        """Return the background of its first columns.
+
+        Args:
+            count: How many.
+
+        Returns:
+            A background of `count` columns, nothing remembered.
+
+        """
+        base = 0 if self._base is None else len(self._base.prior_std)
+        if self._base is not None and count <= base:
+            return self._base.first(count)
+        block, prior_std = self._block[:, : count - base], self.prior_std[base:count]
+        if self._base is None:
+            return Background(block, prior_std)
+        return self._base.beside(block, prior_std)
+
     def averaged(self, means: csc_array) -> Background:
-        """Average the rows.
+        """Average the rows, or leave some out.
 
         Args:
             means: M (C, N), which takes rows r (N,) to M r (C,).
@@ -277,7 +292,7 @@ class Background:
         block = means @ self._block
         if self._base is None:
             return Background(block, self.prior_std)
-        return self._base.averaged(means)._with(block, self.prior_std[len(self._base.prior_std) :])
+        return self._base.averaged(means).beside(block, self.prior_std[len(self._base.prior_std) :])
 
     def dot(self, values: Array | csc_array) -> Array:
         """Compute N^T v.
