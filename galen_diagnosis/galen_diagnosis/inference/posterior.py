@@ -34,7 +34,7 @@ import numpy as np
 from galen_model.estimation.evidence import Background
 
 from galen_diagnosis.inference.discrepancy import Weighed
-from galen_diagnosis.inference.search import Found
+from galen_diagnosis.inference.search import Found, best_of_each
 
 
 @dataclass(frozen=True)
@@ -101,27 +101,27 @@ def excused(found: Found) -> list[Weighed]:
         Hypotheses with what their models may be off, the likeliest first.
 
     """
-    out = list(found.weighed)
-    for of in found.weighed:
-        if len(of.shown) > 1:
-            _excuse(out, of)
+    fuller = best_of_each(found.weighed)
+    least: dict[frozenset[str], Weighed] = {}
+    for one in sorted(found.weighed, key=lambda one: one.energy):
+        least.setdefault(frozenset(one.names), one)
+    out = []
+    for one in found.weighed:
+        less = 0.0
+        if one is least[frozenset(one.names)]:  # one that fits badly is no better for it
+            less = max(_missed(one, of) for of in fuller)
+        log_bayes = one.log_bayes + 0.5 * less
+        out.append(replace(one, energy=one.energy - less, log_bayes=log_bayes))
     return sorted(out, key=lambda one: -one.log_bayes)
 
 
-def _excuse(every: list[Weighed], of: Weighed) -> None:
-    """Take from sets of one effect less than `of` what their models may miss of what it gains."""
-    names = of.names
-    for k, signature in enumerate(of.shown):
-        without = {*names[:k], *names[k + 1 :]}
-        same = [n for n, one in enumerate(every) if set(one.names) == without]
-        if same:
-            # Not every form: one that fits badly is no better for it.
-            best = min(same, key=lambda n: every[n].energy)
-            one = every[best]
-            less = max(one.energy - of.energy, 0.0) * of.looks_like(signature, k)
-            every[best] = replace(
-                one, energy=one.energy - less, log_bayes=one.log_bayes + 0.5 * less
-            )
+def _missed(one: Weighed, of: Weighed) -> float:
+    """Return how much of what a set of one effect more gains the models of `one` may miss."""
+    more = set(of.names) - set(one.names)
+    if not one.names or len(more) != 1 or len(of.names) != len(one.names) + 1:
+        return 0.0
+    k = of.names.index(more.pop())
+    return max(one.energy - of.energy, 0.0) * of.looks_like(of.shown[k], k)
 
 
 def scored(of: Sequence[Weighed], left: float, structure: float) -> list[Scored]:

@@ -92,14 +92,14 @@ def search(observation: Observation, progress: Progress | None = None) -> Found:
             begun, start = _begun(candidate, theta)
             singles += fits.of([begun], [start])
     say("pairs", 0.7)
-    seeds = _best(singles, _PAIRS_FROM)
+    seeds = best_of_each(singles)[:_PAIRS_FROM]
     seeds = [one for one in seeds if one.log_bayes > _BEHIND * seeds[0].log_bayes]
     larger = fits.grown(seeds, singles, _PAIRS)
     hypotheses = [fits.none, *singles, *larger]
     best = max((fits.none, *singles), key=lambda one: one.log_bayes)
     for count in range(3, _MOST_TOGETHER + 1):
         worth = best.log_bayes + max(_WORTH, _MISSED * best.missed())
-        better = _best([one for one in larger if one.log_bayes > worth], 1)
+        better = best_of_each([one for one in larger if one.log_bayes > worth])[:1]
         if not better:
             break
         say(f"{count} together", 0.85)
@@ -151,12 +151,20 @@ def _begun(candidate: Candidate, theta: Array) -> tuple[Candidate, Array]:
     return candidate, np.clip(start, *candidate.limits())
 
 
-def _best(hypotheses: list[Weighed], most: int) -> list[Weighed]:
-    """Return the likeliest, one of each set of effects."""
+def best_of_each(hypotheses: Sequence[Weighed]) -> list[Weighed]:
+    """Return the likeliest of each set of effects.
+
+    Args:
+        hypotheses: In any order.
+
+    Returns:
+        Those of them, the likeliest first.
+
+    """
     out: dict[frozenset[str], Weighed] = {}
     for one in sorted(hypotheses, key=lambda one: -one.log_bayes):
         out.setdefault(frozenset(one.names), one)
-    return list(out.values())[:most]
+    return list(out.values())
 
 
 class _Fits:
