@@ -2,12 +2,19 @@
 """A wrong set-up is named before a cause is looked for; what can't be told apart is one answer."""
 
 import json
+from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from galen_diagnosis.diagnose import main
-from galen_diagnosis.inference.posterior import Scored, Settings, merge_equivalents, posterior
+from galen_diagnosis.inference.posterior import (
+    Scored,
+    Settings,
+    excused,
+    merge_equivalents,
+    posterior,
+)
 from galen_diagnosis.observation.recording import (
     BagData,
     DiagnosticRecording,
@@ -111,6 +118,32 @@ def test_a_recording_of_an_arm_on_a_wall_is_not_diagnosed():
 
 def weighed(names, rows):
     return SimpleNamespace(hypothesis=SimpleNamespace(names=names, raw_rows=np.array(rows)))
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A hypothesis; of what another one gains beside it its models may miss nine tenths."""
+
+    names: tuple[str, ...]
+    energy: float
+    log_bayes: float
+    shown: tuple[float, ...] = (1.0, 1.0)
+
+    def looks_like(self, signature, but):
+        return 0.9
+
+
+def test_what_models_may_miss_is_excused_once_in_whatever_forms_the_fuller_set_was_fitted():
+    single = Fitted(("friction",), 1000.0, 100.0)
+    pairs = [Fitted(("friction", "drift"), 100.0 + k, 500.0 - k) for k in range(3)]
+    for fuller in (pairs[:1], pairs, [*pairs, Fitted(("friction", "step"), 400.0, 350.0)]):
+        (found,) = [
+            one
+            for one in excused(SimpleNamespace(weighed=(*fuller, single)))
+            if one.names == single.names
+        ]
+        assert found.energy == pytest.approx(190.0)
+        assert found.log_bayes == pytest.approx(505.0)
 
 
 def test_sets_that_the_rows_can_not_distinguish_are_one_answer_whatever_numbers_they_have():

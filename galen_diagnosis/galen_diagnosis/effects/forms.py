@@ -268,13 +268,17 @@ def _tolerance(observation: Observation, one: Candidate) -> Sizes | None:
 
 
 def _zero_rad(observation: Observation) -> float:
-    """Return how far the zeros of a healthy arm's joints may be off: a standard deviation, rad."""
+    """Return how far the zeros of a healthy arm's joints may be off: a standard deviation, rad.
+
+    Of a later recording, too: what an arm's places are off isn't learned from earlier ones.
+    """
     recording = observation.recording
+    part = 1.0 if recording.earlier is None else DAY_TO_DAY  # what its limits are scaled by
     each = [
         recording.specification.std(JointZeroOffset.name, (name,))
         for name in recording.arm.turning_names
     ]
-    return max([_LEAST_ZERO_RAD, *(std[0] for std in each if std is not None)])
+    return max([_LEAST_ZERO_RAD, *(std[0] / part for std in each if std is not None)])
 
 
 def _place_columns(observation: Observation) -> csc_array:
