@@ -10,14 +10,14 @@ import pytest
 from galen_diagnosis.answer.answer import RESIDUAL, BudgetItem, Interval
 from galen_diagnosis.diagnose import main
 from galen_diagnosis.effects.candidates import linear_form, plain_form
-from galen_diagnosis.effects.forms import Forms, _zero_rad
+from galen_diagnosis.effects.forms import Forms
 from galen_diagnosis.effects.registry import sought
 from galen_diagnosis.inference.budget import budget
 from galen_diagnosis.inference.diagnosing import diagnose_recording
 from galen_diagnosis.inference.gap import parameters_of
 from galen_diagnosis.inference.refine import refine
 from galen_diagnosis.observation.observation import Observation
-from galen_diagnosis.observation.recording import DAY_TO_DAY, Earlier, read_recording
+from galen_diagnosis.observation.recording import Earlier, read_recording
 from galen_diagnosis.simulated_recording import make_recording, sweep_poses
 from galen_model.arm.galen import GALEN
 from galen_model.errors import GalenError
@@ -101,15 +101,6 @@ def test_healthy_deviations_become_effects_that_change_what_their_columns_do(for
     change = observation.change(tolerances.effects(background))
     expected = behind.columns[:, -tolerances.size :] @ fitted
     assert np.linalg.norm(change - expected) < 0.02 * np.linalg.norm(expected)
-
-
-def test_what_the_arms_places_are_off_is_not_learned_from_earlier_recordings(forms):
-    recording = forms._observation.recording
-    earlier = Earlier(("before",), (), (), np.zeros((0, 0)))
-    daily = recording.specification.scaled(DAY_TO_DAY, "")
-    later = replace(recording, earlier=earlier, specification=daily)
-    first, second = (_zero_rad(SimpleNamespace(recording=one)) for one in (recording, later))
-    assert first == second == pytest.approx(0.0025)
 
 
 def test_no_gap_has_no_budget(healthy_sweep):

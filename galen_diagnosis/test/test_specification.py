@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import pytest
 from galen_diagnosis.diagnose import main
 from galen_diagnosis.effects.forms import _zero_rad
+from galen_diagnosis.observation.recording import DAY_TO_DAY
 from galen_diagnosis.observation.specification import presets, specification_of
 from galen_diagnosis.simulated_recording import make_recording
 from galen_model.arm.galen import GALEN
@@ -111,16 +112,18 @@ def recording(tmp_path_factory):
 
 
 def test_where_the_tip_is_is_known_as_well_as_the_joints_zeros():
-    """Rads; since a reference limits are a twentieth, but not of an arm's constant geometry."""
+    """Rads; since a reference limits are a part, but not of an arm's constant geometry."""
 
-    def known_to(limits):
-        recording = SimpleNamespace(arm=GALEN, specification=limits)
+    def known_to(limits, earlier=None):
+        recording = SimpleNamespace(arm=GALEN, specification=limits, earlier=earlier)
         return _zero_rad(SimpleNamespace(recording=recording))
 
     known = dict.fromkeys(LIMITED)
     tight, usual = (specification_of([name], known) for name in ("galen", "default"))
     assert known_to(usual) == usual.limit("joint_zero_offset") / 2.0
-    assert known_to(tight) == known_to(tight.scaled(0.05, "")) == pytest.approx(1e-4)
+    for limits, expected in ((usual, known_to(usual)), (tight, 1e-4)):
+        assert known_to(limits) == pytest.approx(expected)
+        assert known_to(limits.scaled(DAY_TO_DAY, ""), "earlier") == pytest.approx(expected)
 
 
 @pytest.mark.slow
