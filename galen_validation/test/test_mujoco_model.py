@@ -10,7 +10,6 @@ import pytest
 from galen_diagnosis.diagnose import main as diagnose
 from galen_diagnosis.effects.forms import healthy_background
 from galen_diagnosis.effects.registry import RECORDS
-from galen_diagnosis.inference.gap import unknowns_alone
 from galen_diagnosis.observation.observation import UNKNOWNS, Observation
 from galen_diagnosis.observation.recording import DiagnosticRecording, read_recording
 from galen_diagnosis.observation.specification import CALIBRATED, specification_of
@@ -212,7 +211,7 @@ def gap_in_mujoco(folder, output):
     before, after = (rows_in_mujoco(observation, text) for text in texts)
     behind = healthy_background(observation)
     fitted = behind.fit(after)
-    unknowns = unknowns_alone(observation, behind)
+    unknowns = behind.first(observation.unknowns)
     before = before - behind.columns[:, UNKNOWNS:] @ fitted[UNKNOWNS:]
     before = before - unknowns.columns @ unknowns.fit(before)
     after = after - behind.columns @ fitted

@@ -33,7 +33,7 @@ from galen_diagnosis.answer.answer import RESIDUAL, BudgetItem, Interval
 from galen_diagnosis.effects.candidates import Candidate
 from galen_diagnosis.effects.forms import Tolerances
 from galen_diagnosis.effects.registry import record_of
-from galen_diagnosis.inference.gap import drawn, parameters_of, sandwich, unknowns_alone
+from galen_diagnosis.inference.gap import drawn, parameters_of, sandwich
 from galen_diagnosis.inference.posterior import APART
 from galen_diagnosis.inference.refine import Hypothesis
 from galen_diagnosis.observation.observation import Observation
@@ -94,7 +94,7 @@ def budget(
         Effects and the residual, the largest share first; () where there is no gap.
 
     """
-    whole = unknowns_alone(observation, behind).left(observation.nominal)
+    whole = behind.first(observation.unknowns).left(observation.nominal)
     spread = _LEAST_NOISES * floor * np.sqrt(2.0 * len(whole))
     if whole @ whole - floor * len(whole) <= spread:
         return ()

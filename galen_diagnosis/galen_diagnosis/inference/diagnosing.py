@@ -34,7 +34,7 @@ from galen_diagnosis.experiment.separation import Alternative
 from galen_diagnosis.inference.budget import budget, lies_within, tolerances_after
 from galen_diagnosis.inference.earlier import after
 from galen_diagnosis.inference.excluded import excluded_effects
-from galen_diagnosis.inference.gap import Gap, covariance, held_out_gap, parameters, unknowns_alone
+from galen_diagnosis.inference.gap import Gap, covariance, held_out_gap, parameters
 from galen_diagnosis.inference.posterior import (
     APART,
     Probabilities,
@@ -293,7 +293,7 @@ def conclude(explored: Explored, settings: Settings, say: Progress) -> Diagnosis
     chances = _of_causes(explored, chances)
     verdict, chosen = _verdict(explored, chances)
     best = chosen or found.none
-    plain = unknowns_alone(observation, found.behind)
+    plain = found.behind.first(observation.unknowns)
     say("held out", 0.88)
     gap = held_out_gap(observation, best, found.behind, explored.floor, say)
     if gap.fraction is not None and verdict in ("identified", "ambiguous"):

@@ -67,20 +67,6 @@ class Gap:
         }
 
 
-def unknowns_alone(observation: Observation, behind: Background) -> Background:
-    """Return the background of the unknowns, without a healthy arm's tolerances.
-
-    Args:
-        observation: What was measured.
-        behind: Unknowns first, then what else is fitted beside every cause.
-
-    Returns:
-        Its first columns with their prior.
-
-    """
-    return behind.first(observation.unknowns)
-
-
 def held_out_gap(
     observation: Observation,
     hypothesis: Hypothesis,
@@ -188,7 +174,7 @@ def without_unknowns(
         The m rows held out, (m,).
 
     """
-    unknown = unknowns_alone(observation, behind)
+    unknown = behind.first(observation.unknowns)
     fitted = _only(unknown, ~out).fit(np.where(out, 0.0, rows))
     return np.asarray((rows - unknown.times(fitted))[out])
 
