@@ -23,7 +23,7 @@ from galen_model.estimation.evidence import (
     explained,
 )
 from galen_sim_driver.effects.sensor import SensorDrift
-from scipy.sparse import csc_array
+from scipy.sparse import csc_array, diags_array
 from scipy.stats import multivariate_normal
 
 
@@ -101,6 +101,18 @@ def test_a_background_with_more_columns_is_that_of_all_of_them():
             np.testing.assert_allclose(one, other, atol=1e-10)
     assert extended.sum_of_squares(rows) == pytest.approx(whole.sum_of_squares(rows))
     np.testing.assert_allclose(extended.fit(rows), whole.fit(rows), atol=1e-10)
+    # Sparse, with priors of their own; some of its columns; some of the rows.
+    known = np.array([0.3, 2.0])
+    mixed = behind.beside(csc_array(more), known).beside(columns, 1.0)
+    joined, prior = np.concatenate([nuisance, more, columns], axis=1), [*prior, *known, *[1.0] * 3]
+    kept = generator.random(50) > 0.3
+    for count in (3, 4, 5, 6, 9):
+        first, plain = mixed.first(count), Background(joined[:, :count], np.array(prior[:count]))
+        np.testing.assert_allclose(first.columns, plain.columns)
+        np.testing.assert_allclose(first.fit(rows), plain.fit(rows), atol=1e-10)
+        some = first.averaged(diags_array(kept.astype(float), format="csc"))
+        plain = Background(joined[:, :count] * kept[:, None], np.array(prior[:count]))
+        np.testing.assert_allclose(some.left(rows * kept), plain.left(rows * kept), atol=1e-10)
 
 
 def _scored(name, energy, occam=4.0):
