@@ -33,7 +33,7 @@ from galen_diagnosis.answer.answer import RESIDUAL, BudgetItem, Interval
 from galen_diagnosis.effects.candidates import Candidate
 from galen_diagnosis.effects.forms import Tolerances
 from galen_diagnosis.effects.registry import record_of
-from galen_diagnosis.inference.gap import drawn, parameters_of, sandwich
+from galen_diagnosis.inference.gap import drawn, parameters_of, sandwich, without_unknowns
 from galen_diagnosis.inference.posterior import APART
 from galen_diagnosis.inference.refine import Hypothesis
 from galen_diagnosis.observation.observation import Observation
@@ -325,11 +325,9 @@ def _shares(
     beside, columns, precision = together.beside, together.columns, together.precision
     kept = np.sort(np.concatenate([np.zeros(0, dtype=int), *(part.places for part in parts)]))
     rows = observation.rows
-    first = observation.unknowns
-    unknown = beside.columns[:, :first]
     every = np.concatenate([beside.columns, columns[:, kept]], axis=1)
     prior = np.zeros((every.shape[1],) * 2)
-    count = beside.columns.shape[1]
+    count = len(beside.prior_std)
     prior[:count, :count] = np.diag(beside.precision)
     prior[count:, count:] = precision[np.ix_(kept, kept)]
     gram, along = every.T @ every, every.T @ best.raw_rows
@@ -349,9 +347,7 @@ def _shares(
             [part.change + columns[:, part.places] @ numbers[part.places] for part in parts], axis=1
         ) if parts else np.zeros((len(rows), 0))  # fmt: skip
         both = np.column_stack([observation.nominal, changes])
-        free = Background(unknown * ~out[:, None], beside.prior_std[:first])
-        fitted = free.fit(both * ~out[:, None])
-        both = both[out] - unknown[out] @ fitted
+        both = without_unknowns(observation, beside, both, out)
         before[out], does[out] = both[:, 0], both[:, 1:]
     after = before - does.sum(axis=1)
     block = rows.block

@@ -158,12 +158,13 @@ def _forms(explored: Explored, behind: Background) -> dict[str, list[_Form]]:
 def _jumps(observation: Observation, behind: Background, forms: Forms) -> Iterator[_Form]:
     """Yield jumps in the middle of each bag."""
     jumps = [record_of(name).jump for name in sought(observation.recording)]
+    unknowns = forms.behind.first(observation.unknowns).columns
     for name, view in observation.views.items():
         at_s = 0.5 * float(view.scene.wrench_s[-1])
         after = (observation.rows.session_s >= view.scene.start_s + at_s).astype(float)[:, None]
         for jump in jumps:
             if jump is not None and (view.tracks or not jump.tracked):
-                columns = forms.behind.columns[:, jump.unknowns] * after
+                columns = unknowns[:, jump.unknowns] * after
                 yield plain_form(jump.effect(name, at_s)), behind.projected(columns).gram
 
 

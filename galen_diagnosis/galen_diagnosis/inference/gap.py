@@ -167,15 +167,15 @@ def without_unknowns(
     Args:
         observation: What was measured.
         behind: Unknowns first, then what else is fitted beside every cause.
-        rows: All rows, (N,).
+        rows: All rows, (N,) or (N, k).
         out: Which of them are held out, (N,) bool.
 
     Returns:
-        The m rows held out, (m,).
+        The m rows held out, (m,) or (m, k).
 
     """
     unknown = behind.first(observation.unknowns)
-    fitted = _only(unknown, ~out).fit(np.where(out, 0.0, rows))
+    fitted = _only(unknown, ~out).fit(rows)
     return np.asarray((rows - unknown.times(fitted))[out])
 
 

@@ -109,13 +109,13 @@ def excused(found: Found) -> list[Weighed]:
     for one in found.weighed:
         less = 0.0
         if one is least[frozenset(one.names)]:  # one that fits badly is no better for it
-            less = max(_missed(one, of) for of in fuller)
+            less = max(_excuse(one, of) for of in fuller)
         log_bayes = one.log_bayes + 0.5 * less
         out.append(replace(one, energy=one.energy - less, log_bayes=log_bayes))
     return sorted(out, key=lambda one: -one.log_bayes)
 
 
-def _missed(one: Weighed, of: Weighed) -> float:
+def _excuse(one: Weighed, of: Weighed) -> float:
     """Return how much of what a set of one effect more gains the models of `one` may miss."""
     more = set(of.names) - set(one.names)
     if not one.names or len(more) != 1 or len(of.names) != len(one.names) + 1:
