@@ -110,7 +110,8 @@ class Browser:
             return self.wait(look, f"{testid} to say {words}", patience_s)
         except AssertionError as error:
             said = [element.text for element in self.all(testid)]
-            raise AssertionError(f"{error}; it says {said}") from None
+            page = self.script("return document.body.innerText")
+            raise AssertionError(f"{error}; it says {said}, and the whole page:\n{page}") from None
 
     def usable(self, testid):
         """Whether it is there and not disabled."""

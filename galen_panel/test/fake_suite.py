@@ -40,6 +40,7 @@ COMPENSATING = NodeReport(
 CALIBRATION_READY = NodeReport(
     "calibration", NodeLevel.OK, "ready", {"state": "ready", "sweep_s": "102.0"}, math.inf
 )
+DRIVER_READY = NodeReport("sim_driver", NodeLevel.OK, "sends", {"state": "moving"}, math.inf)
 ALL = frozenset(
     {
         "gravcomp/set_tool", "gravcomp/list_tools", "gravcomp/compare_tools",

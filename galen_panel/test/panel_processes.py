@@ -57,6 +57,9 @@ class PanelWorld:
         return self
 
     def __exit__(self, *error):
+        if error[0] is not None:  # pytest shows it with the failure
+            for log in sorted(self.folder.glob("*.log")):
+                print(f"---- {log.name}\n{log.read_text(errors='replace')[-3000:]}")
         return self._stack.__exit__(*error)
 
     def start(self, name, command, niceness=0, **environment):

@@ -4,7 +4,16 @@
 from dataclasses import replace
 
 import pytest
-from fake_suite import ACTIVE, ALL, BROKEN, CALIBRATION_READY, COMPENSATING, POINTER, FakeSuite
+from fake_suite import (
+    ACTIVE,
+    ALL,
+    BROKEN,
+    CALIBRATION_READY,
+    COMPENSATING,
+    DRIVER_READY,
+    POINTER,
+    FakeSuite,
+)
 from galen_model.load.verdict import CheckAnswer
 from galen_panel.messages.steps import current, steps
 from galen_panel.page import guide
@@ -52,6 +61,18 @@ def test_a_first_visit_names_all_that_is_missing_with_the_namespace():
         assert f"ros2 run {program} --ros-args -r __ns:=/left" in step.todo
 
 
+def test_who_reports_but_cannot_be_called_yet_is_not_connected():
+    nodes = reports(COMPENSATING) | {DRIVER_READY.name: DRIVER_READY}
+    step = next_step(state_of(nodes=nodes, available=ALL - {"attach_tool"}))
+    assert (step.name, step.doing) == ("Connect", "Not to be called yet: driver.")
+    assert step.todo
+    assert next_step(state_of(nodes=nodes)).name != "Connect"
+    values = {**COMPENSATING.values, "wrench_raw_publisher_nodes": "/ur"}
+    nodes = reports(replace(COMPENSATING, values=values))
+    state = state_of(nodes=nodes, available=ALL - {"attach_tool"})
+    assert next_step(state).name != "Connect", "a driver of somebody else has no such service"
+
+
 @pytest.mark.parametrize("trouble", ["silent", "waiting", "stale_joints", "wrong_frame"])
 def test_a_stream_that_does_not_come_holds_the_check(trouble):
     report = replace(COMPENSATING, level=NodeLevel.ERROR, values={"state": trouble})
@@ -68,6 +89,18 @@ def test_without_a_calibration_that_can_be_used_the_next_step_is_to_calibrate():
     calibration = Behaviour(1, BehaviourKind.CALIBRATE, "x", outcome=failed)
     state = replace(state, behaviours={calibration.kind: calibration})
     assert "roll did not arrive" in next_step(state).doing.lower()
+
+
+def test_under_way_it_says_keep_off_or_what_it_waits_for():
+    calibration = Behaviour(1, BehaviourKind.CALIBRATE, "pointer")
+    found = {one: replace(calibration, asked=one) for one in (None, "REMOVE_TOOL", "ATTACH_TOOL")}
+    todo = {
+        one: next_step(state_of(behaviours={behaviour.kind: behaviour})).todo
+        for one, behaviour in found.items()
+    }
+    assert "Keep off" in todo[None]
+    assert "Take the tool off" in todo["REMOVE_TOOL"]
+    assert "Put pointer on" in todo["ATTACH_TOOL"]
 
 
 def test_a_check_that_was_not_good_verifies_nothing():

@@ -4,7 +4,7 @@
 import math
 from dataclasses import replace
 
-from fake_suite import ACTIVE, ALL, POINTER, RETRACTOR
+from fake_suite import ACTIVE, ALL, DRIVER_READY, POINTER, RETRACTOR
 from galen_panel.page.outcome import is_shown
 from galen_panel.state.snapshot import BehaviourKind, Goal, ListedTool, QuantityDifference
 from page_user import page_test
@@ -126,6 +126,17 @@ async def test_where_nothing_takes_the_tool_off_a_person_does(user, suite):
     user.enter("new-tool-name", "drill_2")
     user.click("dialog-ok")
     goal = Goal(BehaviourKind.CALIBRATE, "drill_2", by_hand=True)
+    await user.until(lambda: suite.calls == [("start", goal)])
+
+
+@page_test(available=ALL - {"attach_tool"}, nodes={DRIVER_READY.name: DRIVER_READY})
+async def test_a_driver_that_is_out_of_sight_for_a_moment_still_takes_the_tool_off(user, suite):
+    user.click("new-tool")
+    await user.until(lambda: user.all("dialog-ok"))
+    assert user.get("new-tool-by-hand").enabled, "it may have been replaced by one that can't"
+    user.enter("new-tool-name", "drill_2")
+    user.click("dialog-ok")
+    goal = Goal(BehaviourKind.CALIBRATE, "drill_2")
     await user.until(lambda: suite.calls == [("start", goal)])
 
 

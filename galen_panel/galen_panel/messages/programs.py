@@ -22,6 +22,7 @@ from galen_panel.messages.advice import (
     Advice,
 )
 from galen_panel.state.snapshot import (
+    Asked,
     Behaviour,
     BehaviourKind,
     LoadedTool,
@@ -170,6 +171,22 @@ def title(behaviour: Behaviour) -> str:
     joined = "with" if behaviour.kind is BehaviourKind.COLLECT else "of"
     name = NAMES[behaviour.kind]
     return f"{name} {joined} {behaviour.tool}" if behaviour.tool else name
+
+
+def question(asked: Asked, tool: str) -> tuple[str, str]:
+    """Return what a person is asked to do.
+
+    Args:
+        asked: the step that the behaviour waits for.
+        tool: its name; empty: unknown.
+
+    Returns:
+        The sentence, and the text of the button that answers it.
+
+    """
+    if asked == "REMOVE_TOOL":
+        return "Take the tool off, then press.", "The tool is off"
+    return f"Put {tool or 'the tool'} on, then press.", "The tool is on"
 
 
 def running(state: SuiteState) -> Behaviour | None:

@@ -68,6 +68,15 @@ def _connect(state: SuiteState, now_s: float) -> Step:
         names = ", ".join(one.title.lower() for one in lacking)
         todo = "\n".join(words[one].todo for one in lacking)
         return Step("Connect", False, f"Missing: {names}.", todo)
+    late = [
+        one
+        for one in words
+        if state.report_of(one.node) is not None and one.offers not in state.available
+    ]
+    if late:
+        names = ", ".join(one.title.lower() for one in late)
+        todo = "\n".join(words[one].todo for one in late if words[one].todo)
+        return Step("Connect", False, f"Not to be called yet: {names}.", todo or "Wait a moment.")
     return Step("Connect", True, "Driver, compensation and calibration are there.")
 
 
@@ -86,7 +95,10 @@ def _check(state: SuiteState, now_s: float) -> Step:
 def _calibrate(state: SuiteState) -> Step:
     behaviour = state.behaviours.get(BehaviourKind.CALIBRATE)
     if behaviour is not None and behaviour.running:
-        return Step("Calibrate", False, f"{programs.title(behaviour)} is under way.", "Keep off.")
+        todo = "Keep off."
+        if behaviour.asked is not None:
+            todo, _ = programs.question(behaviour.asked, behaviour.tool)
+        return Step("Calibrate", False, f"{programs.title(behaviour)} is under way.", todo)
     usable = [tool.name for tool in state.tools or () if not tool.problem]
     if usable:
         return Step("Calibrate", True, f"Calibrated: {', '.join(usable)}.")

@@ -282,11 +282,15 @@ class CalibrationOptions:
     def update(self, state: SuiteState) -> None:
         """Choose by hand where no driver changes the tool by itself.
 
+        One that is out of sight for a moment, on a busy machine, still does: nobody would look
+        for the question to take the tool off.
+
         Args:
-            state: with what is available.
+            state: with what is available, and the driver's report.
 
         """
-        can_choose = _SERVICE in state.available
+        heard = state.report_of(programs.DRIVER.node) is not None
+        can_choose = heard or _SERVICE in state.available
         if can_choose != self._can_choose:
             self._can_choose = can_choose
             self._by_hand.set_value(not can_choose)

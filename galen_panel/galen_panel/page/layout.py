@@ -15,7 +15,7 @@ from galen_panel.messages import programs, texts
 from galen_panel.messages.programs import compensates, overall
 from galen_panel.page import behaviours, guide, live, nodes, recordings, tools
 from galen_panel.page.page import LOOK_PERIOD_S, LOOKS, Page, pick_class, set_prop
-from galen_panel.state.snapshot import Asked, Behaviour, BehaviourKind, LoadedTool, SuiteState
+from galen_panel.state.snapshot import Behaviour, BehaviourKind, LoadedTool, SuiteState
 
 STYLE = Path(__file__).with_name("panel.css")
 _TABS = (
@@ -286,7 +286,7 @@ class _Strip:
         self._page.allow(self._cancel, "It is being canceled." if behaviour.canceling else "")
         self._question.set_visibility(behaviour.asked is not None and not behaviour.canceling)
         if behaviour.asked is not None:
-            sentence, answer = question(behaviour.asked, behaviour.tool)
+            sentence, answer = programs.question(behaviour.asked, behaviour.tool)
             self._asked.set_text(sentence)
             self._confirm.set_text(answer)
         self._page.allow(self._confirm, programs.missing(state, "calibration/confirm"))
@@ -326,19 +326,3 @@ def count(behaviour: Behaviour) -> str:
     """
     units = "pushes" if behaviour.kind is BehaviourKind.COLLECT else "poses"
     return f"{behaviour.done} of {behaviour.total} {units}" if behaviour.total else ""
-
-
-def question(asked: Asked, tool: str) -> tuple[str, str]:
-    """Return what a person is asked to do.
-
-    Args:
-        asked: the step that the behaviour waits for.
-        tool: its name; empty: unknown.
-
-    Returns:
-        The sentence, and the text of the button that answers it.
-
-    """
-    if asked == "REMOVE_TOOL":
-        return "Take the tool off, then press.", "The tool is off"
-    return f"Put {tool or 'the tool'} on, then press.", "The tool is on"
