@@ -13,7 +13,7 @@ from galen_diagnosis.inference.diagnosing import _full_covariance
 from galen_diagnosis.observation.observation import Observation
 from galen_diagnosis.observation.recording import read_recording
 from galen_diagnosis.simulated_recording import make_recording, sweep_poses
-from galen_model.arm.galen import GALEN
+from galen_model.arm.galen import GALEN, WRENCH_AXES
 from galen_model.estimation.evidence import Background
 from galen_sim_driver.effects.sensor import SensorSaturation
 
@@ -55,6 +55,25 @@ def test_a_step_is_found_whatever_order_the_bags_were_recorded_in(recording):
     bag, at_s = found.base.bag, found.base.time_s
     assert bag == "sweep"
     assert at_s == pytest.approx(10.0, abs=0.5)
+
+
+def test_a_step_is_sought_only_before_the_last_reading_without_a_push(recording):
+    """Later ones would show in the tip alone, as all that a model of the deflection misses."""
+    observation = Observation(recording)
+    unknown = unknown_columns(observation)
+    rows, behind = observation.rows, Background(unknown, np.full(18, 1.0))
+    last_s, at_s = 0.6 * rows.session_s.max(), 0.9 * rows.session_s.max()
+    jumped = observation.nominal + unknown[:, 0] * (rows.session_s > at_s)
+    found, _ = BIAS_STEP.jump.judged(observation, unknown, jumped, behind)
+    assert _since_start_s(found, recording) == pytest.approx(at_s, abs=0.5)
+    tip = np.where(rows.session_s > last_s, len(WRENCH_AXES), rows.channel)
+    observation.rows = replace(rows, channel=tip)
+    found, _ = BIAS_STEP.jump.judged(observation, unknown, jumped, behind)
+    assert _since_start_s(found, recording) < last_s
+
+
+def _since_start_s(found, recording):
+    return recording.bags[found.base.bag].start_s + found.base.time_s
 
 
 def test_a_drift_over_days_between_bags_stays_small(recording):

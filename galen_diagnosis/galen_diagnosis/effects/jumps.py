@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from galen_model.arm.galen import WRENCH_AXES
 from galen_model.arrays import Array
 from galen_model.estimation.evidence import Background, Evidence, evidences
 from galen_sim_driver.effects.effect import Effect
@@ -75,13 +76,19 @@ class Jump:
 
     def _times(self, observation: Observation) -> list[tuple[str, float]]:
         times = []
+        rows = observation.rows
+        # A jump of the sensor's zero after all readings without a push would show in nothing but
+        # how far the pushes go, as would whatever else a model of the arm's deflection misses.
+        shows = np.ones(len(rows), dtype=bool) if self.tracked else rows.channel < len(WRENCH_AXES)
+        shown_s = float(np.max(rows.session_s[shows], initial=0.0))
         for name, view in observation.views.items():
             if name in self.grid_s and (view.tracks or not self.tracked):
                 at_s = view.scene.tracker_s if self.tracked else view.scene.wrench_s
                 if observation.recording.readings is not None:
                     times += [(name, float(t)) for t in _between(at_s)]
                     continue
-                grid = np.arange(_EDGE_S, float(at_s[-1]) - _EDGE_S, self.grid_s[name])
+                last_s = min(float(at_s[-1]), shown_s - view.scene.start_s) - _EDGE_S
+                grid = np.arange(_EDGE_S, last_s, self.grid_s[name])
                 times += [(name, float(t)) for t in grid]
         # Bags may not have been recorded in their usual order.
         return sorted(times, key=lambda time: float(_session_times(observation, [time])[0]))
