@@ -30,6 +30,7 @@ from galen_sim_driver.effects.hysteresis import DeflectionCreep
 from galen_sim_driver.effects.joints import JointEccentricity
 from galen_sim_driver.effects.registry import contract_parameters, limit_parts
 from galen_sim_driver.effects.sensor import SensorHysteresis, SensorNonlinearity
+from galen_sim_driver.replay import Replay
 
 
 def recorded(folder, effects, bag="sweep"):
@@ -66,6 +67,22 @@ def test_columns_of_the_sensor_are_what_the_simulator_does(healthy):
         told = healthy.change([candidate.at(size)])
         assert candidate.columns @ size == pytest.approx(told, abs=1e-6 + 0.01 * np.abs(told).max())
         assert np.abs(told).max() > 0.01, candidate.label
+
+
+@pytest.mark.parametrize("whole", [False, True])
+def test_a_sensor_bends_with_its_whole_load_or_with_what_it_reads(whole, healthy):
+    """As the square of what it reads, the one of its whole load would have a gain beside it."""
+    bag = healthy.recording.bags["sweep"]
+    tare = Replay(healthy.views["sweep"].scene).tare()[0, 0]
+    effect = SensorNonlinearity("fx", 0.02, tare=float(whole * tare))
+    wrenches = bag.wrenches.copy()
+    wrenches[:, 0] += effect.too_much(wrenches[:, 0])
+    bags = {"sweep": replace(bag, wrenches=wrenches)}
+    observation = Observation(replace(healthy.recording, bags=bags))
+    forms = Forms(observation)
+    judged = {c.label: e.log_bayes for c, e in forms.judged(observation.nominal, forms.behind)}
+    right, wrong = ("fx even", "fx even of its load")[:: -1 if whole else 1]
+    assert judged[right] > judged[wrong] + 20.0
 
 
 @pytest.mark.slow

@@ -212,10 +212,15 @@ class Replay:
             posture = self._posture(joints, gravity, any(one.needs_motion for one in pulling))
             more = added(effect.fresh().wrench(when, posture) for effect in pulling)
             total = total if more is None else total + more
+        return when, total - self.tare()
+
+    def tare(self) -> Array:
+        """Return the load (1, 6) that the sensor was zeroed at: the adapter's, N and N.m."""
+        scene = self.scene
         pose = scene.arm.home_angles if scene.zero_pose_rad is None else scene.zero_pose_rad
         zero = scene.arm.with_angles(np.array([pose]), scene.joints[:1])
         at_zero = self._gravity_at(self._true_joints(scene.instants(np.zeros(1)), zero))
-        return when, total - _weight(at_zero, *_mass_and_com(scene.adapter))
+        return _weight(at_zero, *_mass_and_com(scene.adapter))
 
     def _tool(self, gravity: Array) -> tuple[float, Array]:
         """Return the true tool's mass and centre (n, 3) or (3,), with gravity (n, 3) on it."""

@@ -166,6 +166,18 @@ def bent(wrench):
     return wrench
 
 
+def bent_with_its_load(wrench):
+    load = wrench[:, 1] - 0.7
+    wrench[:, 1] += 0.03 * (load**2 - 0.7**2)
+    return wrench
+
+
+def oddly_bent_with_its_load(wrench):
+    load = wrench[:, 2] + 0.4
+    wrench[:, 2] += 0.05 * (load * np.abs(load) - 0.4**2)
+    return wrench
+
+
 def oddly_bent(wrench):
     wrench[:, 0] -= 0.02 * wrench[:, 0] * np.abs(wrench[:, 0])
     return wrench
@@ -203,6 +215,8 @@ def through_knots(wrench):
         (Crosstalk("fy", "tx", 0.02), mixed),
         (SensorNonlinearity("fz", 0.03), bent),
         (SensorNonlinearity("fx", -0.02, True), oddly_bent),
+        (SensorNonlinearity("fy", 0.03, tare=-0.7), bent_with_its_load),
+        (SensorNonlinearity("fz", 0.05, True, tare=0.4), oddly_bent_with_its_load),
         (SensorMountRotation(TURN), turned),
         (SensorDrift(RATE), lambda w: w + (COLUMN + START_S) / 3600.0 * RATE),
         (SensorDrift.through(KNOTS, LEVELS), through_knots),

@@ -171,27 +171,33 @@ CROSSTALK = DiagnosedEffect(
 
 _BENT = (0.01,) * 3 + (0.2,) * 3
 """Usual nonlinearity, 1/N and 1/(N.m)."""
+_LEAST_TARE = 0.02
+"""Of the largest reading: the adapter's weight beyond which it counts."""
 
 
 def nonlinear_candidates(observation: Observation, zero: Array) -> list[Candidate]:
     """Return each axis, its square with and without its sign.
+
+    Of what it reads, and of its whole load: with the adapter's weight that it was zeroed at.
 
     Args:
         observation: What was measured.
         zero: Columns of the sensor's zero, (N, 6).
 
     Returns:
-        12 forms; coefficients in 1/N and 1/(N.m).
+        12 to 24 forms; coefficients in 1/N and 1/(N.m).
 
     """
     reading = _at_rows(observation)
+    weight = Replay(next(iter(observation.views.values())).scene).tare()[0]
     found = []
     for axis, name in enumerate(WRENCH_AXES):
-        own, size = reading[:, axis], np.array([_BENT[axis]])
-        for signed in (False, True):
-            effect = simulated.SensorNonlinearity(axis=name, signed=signed)
-            square = own * (np.abs(own) if signed else own)
-            label = f"{name} {'odd' if signed else 'even'}"
+        size = np.array([_BENT[axis]])
+        heavy = abs(weight[axis]) > _LEAST_TARE * np.max(np.abs(reading[:, axis]), initial=0.0)
+        for signed, tare in product((False, True), (0.0, float(weight[axis]))[: 1 + heavy]):
+            effect = simulated.SensorNonlinearity(axis=name, signed=signed, tare=tare)
+            square = replace(effect, coefficient=1.0).too_much(reading[:, axis])
+            label = f"{name} {'odd' if signed else 'even'}{' of its load' if tare else ''}"
             columns = (zero[:, axis] * square)[:, None]
             found.append(
                 replace(plain_form(effect, label), typical=size, probe=0.1 * size, columns=columns)
@@ -208,7 +214,8 @@ SENSOR_NONLINEARITY = DiagnosedEffect(
     forms=no_forms,
     columns=nonlinear_candidates,
     known="firm",
-    mujoco="reading becomes reading + coefficient reading², times its sign where signed",
+    mujoco="reading becomes reading + coefficient ((reading + tare)² - tare²), each square"
+    " times its root's sign where signed",
     gazebo="no such thing: the same formula",
 )
 

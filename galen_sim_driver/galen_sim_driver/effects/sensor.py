@@ -203,16 +203,21 @@ class Crosstalk(Effect):
 
 @dataclass(frozen=True)
 class SensorNonlinearity(Effect):
-    """reading of `axis` += `coefficient` times its square, with its sign where `signed`."""
+    """reading of `axis` += `coefficient` times its square, with its sign where `signed`.
+
+    A sensor bends with its whole load, of which it has forgotten the `tare` t that it was zeroed
+    at: what it reads too much is coefficient ((x + t)^2 - t^2).
+    """
 
     name = "sensor_nonlinearity"
     fitted = (Fitted("coefficient", "1/N", 0.01, -10.0, 10.0),)
     order = 2
-    beyond_contract = ("signed",)
+    beyond_contract = ("signed", "tare")
 
     axis: str = param("fz", "the axis that isn't linear: fx fy fz tx ty tz")
     coefficient: float = param(0.0, "what it reads too much over its square, 1/N or 1/Nm")
     signed: bool = param(False, "whether that has the sign of the reading, and not its own")
+    tare: float = param(0.0, "load on the axis where it reads zero, N or Nm")
 
     @property
     def limit_parts(self) -> tuple[str, ...]:
@@ -244,8 +249,9 @@ class SensorNonlinearity(Effect):
             Reading (n, 6).
 
         """
-        read, (x, c) = wrench.copy(), self._of(wrench)
-        read[:, WRENCH_AXES.index(self.axis)] += c * x**2
+        read = wrench.copy()
+        own = WRENCH_AXES.index(self.axis)
+        read[:, own] += self.too_much(wrench[:, own])
         return read
 
     def unread(self, when: Instants, reading: Array) -> Array:
@@ -259,15 +265,27 @@ class SensorNonlinearity(Effect):
             Wrench (n, 6).
 
         """
-        true, (y, c) = reading.copy(), self._of(reading)
-        root = np.sqrt(np.maximum(1.0 + 4.0 * c * y, 0.0))
-        true[:, WRENCH_AXES.index(self.axis)] = 2.0 * y / (1.0 + root)
+        true, own = reading.copy(), WRENCH_AXES.index(self.axis)
+        bent = reading[:, own] + self.tare + self._square(np.array(self.tare))
+        c = self.coefficient * (np.sign(bent) if self.signed else 1.0)
+        root = np.sqrt(np.maximum(1.0 + 4.0 * c * bent, 0.0))
+        true[:, own] = 2.0 * bent / (1.0 + root) - self.tare
         return true
 
-    def _of(self, wrench: Array) -> tuple[Array, Array]:
-        """Return the axis (n,), and the coefficient (n,) of its square."""
-        own = wrench[:, WRENCH_AXES.index(self.axis)]
-        return own, self.coefficient * (np.sign(own) if self.signed else np.ones(len(own)))
+    def too_much(self, wrench: Array) -> Array:
+        """Return what the axis reads too much.
+
+        Args:
+            wrench: on the axis beyond the tare, (n,), N or N.m.
+
+        Returns:
+            Errors, (n,), N or N.m.
+
+        """
+        return self._square(wrench + self.tare) - self._square(np.array(self.tare))
+
+    def _square(self, load: Array) -> Array:
+        return self.coefficient * load * (np.abs(load) if self.signed else load)
 
 
 _TYPICAL_LARGEST = np.array([10.0] * 3 + [1.0] * 3)
