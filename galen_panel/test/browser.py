@@ -3,10 +3,15 @@
 
 import json
 import shutil
+from contextlib import suppress
 from urllib.parse import urlsplit
 
 from selenium import webdriver
-from selenium.common.exceptions import StaleElementReferenceException, TimeoutException
+from selenium.common.exceptions import (
+    ElementNotInteractableException,
+    StaleElementReferenceException,
+    TimeoutException,
+)
 from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.by import By
 from selenium.webdriver.support.ui import WebDriverWait
@@ -138,11 +143,17 @@ class Browser:
     # doing
 
     def click(self, testid):
-        """As soon as it can be clicked."""
-        self.wait(lambda: self.usable(testid), f"{testid} to be usable")
-        element = self.find(testid)
-        self.script("arguments[0].scrollIntoView({block: 'center'})", element)
-        element.click()
+        """As soon as it can be clicked; it may have gone since it was looked at, and come again."""
+
+        def clicked():
+            for element in self.all(testid) if self.usable(testid) else []:
+                self.script("arguments[0].scrollIntoView({block: 'center'})", element)
+                with suppress(ElementNotInteractableException):
+                    element.click()
+                    return True
+            return False
+
+        self.wait(clicked, f"{testid} to be clicked")
 
     def type(self, testid, text):
         """Into the field of this id, instead of what is there."""
