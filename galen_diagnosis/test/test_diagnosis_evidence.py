@@ -13,7 +13,7 @@ from galen_diagnosis.inference.discrepancy import (
     Weighed,
     looks_like,
 )
-from galen_diagnosis.inference.posterior import Scored, Settings, posterior
+from galen_diagnosis.inference.posterior import Scored, Settings, forgiven, posterior
 from galen_diagnosis.inference.refine import refine
 from galen_model.estimation.evidence import (
     SCALES,
@@ -241,3 +241,16 @@ def test_a_second_effect_keeps_its_evidence_beside_a_large_one():
     of = [_scored("", 20000.0), _scored("tool_mass_error", 300.0)]
     of.append(Scored(("tool_mass_error", "joint_gain:tilt"), 0.0, 8.0))
     assert posterior(of, Settings()).hypotheses[2] > 0.99
+
+
+def test_an_effect_that_explains_less_than_what_the_others_models_miss_is_no_cause():
+    both, alone, other = ("cable_drag", "inertial_load"), ("cable_drag",), ("inertial_load",)
+    of = [Scored(both, 10.0, 55.0), Scored(alone, 130.0, 51.0), Scored(other, 2e5, 4.0)]
+    of.append(Scored((), 2e5, 0.0))
+    assert posterior(of, Settings()).effects["inertial_load"] > 0.99
+    assert posterior(forgiven(of, 60.0), Settings()).effects["inertial_load"] > 0.9
+    found = forgiven(of, 500.0)
+    assert [one.energy for one in found] == [10.0, 10.0, 2e5 - 500.0, 2e5]
+    chances = posterior(found, Settings()).effects
+    assert chances["inertial_load"] < 0.05
+    assert chances["cable_drag"] > 0.99

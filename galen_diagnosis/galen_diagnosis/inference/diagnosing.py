@@ -41,6 +41,7 @@ from galen_diagnosis.inference.posterior import (
     Scored,
     Settings,
     excused,
+    forgiven,
     load_settings,
     merge_equivalents,
     posterior,
@@ -156,7 +157,8 @@ def explore(recording: DiagnosticRecording, progress: Progress | None = None) ->
         swing = max(fast.log_bayes, 0.0)
     elif fast is not None:
         seen.append(fast)
-    clear = first.answered(max([one.log_bayes for one in seen], default=0.0), shaped=True)
+    clearest = max([one.log_bayes for one in seen], default=0.0)
+    clear = first.answered(clearest, shaped=True)
     varied = max([one.log_bayes for one in varies], default=0.0)
     structure = max(clear, varied)
     left = max(first.answered(remaining), 2.0 * structure)
@@ -164,6 +166,7 @@ def explore(recording: DiagnosticRecording, progress: Progress | None = None) ->
         one if _swings(one.names) else replace(one, energy=one.energy + 2.0 * swing)
         for one in scored(of, left, structure)
     ]
+    sums = forgiven(sums, 2.0 * (clearest - clear))
     fitted = {one.names[0] for one in sums if len(one.names) == 1}
     past = None
     if recording.readings is None:

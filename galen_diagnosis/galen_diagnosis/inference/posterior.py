@@ -146,6 +146,28 @@ def scored(of: Sequence[Weighed], left: float, structure: float) -> list[Scored]
     return [replace(found[0], structure=structure), *found[1:]]
 
 
+def forgiven(of: Sequence[Scored], missed: float) -> list[Scored]:
+    """Return hypotheses, the smaller ones without what the first one's models are seen to miss.
+
+    What models miss in one way they may miss in another: an effect that explains less beside the
+    first's others than the structure that all of them leave, and may miss, is no cause for it.
+
+    Args:
+        of: Hypotheses, the likeliest first.
+        missed: Energy of that structure.
+
+    Returns:
+        The same in the same order.
+
+    """
+    first = of[0]
+    smaller = [bool(one.names) and set(one.names) < set(first.names) for one in of]
+    return [
+        replace(one, energy=max(one.energy - missed, first.energy)) if within else one
+        for one, within in zip(of, smaller, strict=True)
+    ]
+
+
 def merge_equivalents(
     behind: Background, of: Sequence[Weighed], sums: Sequence[Scored]
 ) -> tuple[list[Scored], dict[frozenset[str], tuple[frozenset[str], ...]]]:
