@@ -172,12 +172,13 @@ def linear_form(
     return Candidate(own, label, base, free, start, typical, 0.1 * typical, columns)
 
 
-def freed(one: Candidate, fitted: Candidate) -> Candidate:
+def freed(one: Candidate, fitted: Candidate, common: int | None = None) -> Candidate:
     """Return a form whose fit has further numbers behind its own.
 
     Args:
         one: Form that is judged linearly, with p numbers.
         fitted: Form that a fit takes in its place; its first p numbers are those of `one`.
+        common: Only so many of them are, and the others are fitted beside in another way.
 
     Returns:
         `one`, whose fit begins at its linear answer and the start of the further numbers.
@@ -185,7 +186,8 @@ def freed(one: Candidate, fitted: Candidate) -> Candidate:
     """
 
     def begun(values: Array) -> tuple[Candidate, Array]:
-        return fitted, np.concatenate([values, fitted.start[len(values) :]])
+        known = values[:common]
+        return fitted, np.concatenate([known, fitted.start[len(known) :]])
 
     return replace(one, into=begun)
 

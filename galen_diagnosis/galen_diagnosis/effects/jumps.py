@@ -22,6 +22,8 @@ from galen_diagnosis.observation.observation import Observation
 _EDGE_S = 1.0
 _TEMPER = 0.5
 _MOST_GAPS = 400
+_FINER = 21
+"""Times about the likeliest, from the one before to the one after."""
 
 
 @dataclass(frozen=True)
@@ -66,11 +68,22 @@ class Jump:
         logs = np.array([one.log_bayes for one in found])
         best = int(np.argmax(logs))
         bag, at_s = times[best]
+        here = [k for k, (name, _) in enumerate(times) if name == bag]
+        known = {"time_s": _likely(np.array([times[k][1] for k in here]), logs[here])}
+        if observation.recording.readings is None:
+            # A large jump that is a tenth of a second off leaves a pulse that looks like no jump.
+            near = at_s + self.grid_s[bag] * np.linspace(-1.0, 1.0, _FINER)
+            after = _session_times(observation, [(bag, float(t)) for t in near])
+            found = _evidences(
+                after, observation.rows.session_s, columns, rows, behind, self.typical
+            )
+            finer = np.array([one.log_bayes for one in found])
+            logs[best] = max(logs[best], np.max(finer) - np.log(_FINER))
+            best = int(np.argmax(finer))
+            at_s = float(near[best])
         on = (observation.rows.session_s >= after[best]).astype(float)
         base, label = self.effect(bag, at_s), f"{bag} {at_s:.2f} s"
         one = linear_form(base, label, columns * on[:, None], self.typical)
-        here = [k for k, (name, _) in enumerate(times) if name == bag]
-        known = {"time_s": _likely(np.array([times[k][1] for k in here]), logs[here])}
         anywhere = float(np.logaddexp.reduce(logs) - np.log(len(logs)))
         return replace(one, known=known), replace(found[best], log_bayes=anywhere)
 

@@ -30,7 +30,8 @@ from galen_model.rotation import matrix_to_rotvec, rotvec_to_matrix
 from galen_sim_driver.effects import sensor as simulated
 from galen_sim_driver.effects.effect import Effect, Instants
 from galen_sim_driver.effects.registry import contract_parameters
-from galen_sim_driver.replay import Between, Replay
+from galen_sim_driver.replay import GAP_S, Between, Replay
+from scipy.sparse import csc_array, hstack
 
 from galen_diagnosis.effects.candidates import Candidate, freed, linear_form, plain_form
 from galen_diagnosis.effects.diagnosed_effect import (
@@ -221,6 +222,7 @@ SENSOR_NONLINEARITY = DiagnosedEffect(
 
 
 _KNEES, _USUAL_KNEE = (0.05, 0.08, 0.13, 0.2, 0.32, 0.5), 0.2
+_ONE_OF_MANY = -np.log(32.0)
 _TOGETHER = ("all", "force", "torque")
 
 
@@ -228,32 +230,76 @@ def lagging_candidates(observation: Observation, zero: Array) -> list[Candidate]
     """Return lags of forces, torques or both.
 
     They turn gradually or sharply. Over a pause of a bag what loads have left is gone, or stays.
+    How far they go is a matter of a bag's largest load or, in the last form, of the sensor's: that
+    one has what it may keep from before each bag among its columns, as it is as large.
 
     Args:
         observation: What was measured.
         zero: Columns of the sensor's zero, (N, 6).
 
     Returns:
-        32 forms: linear in the fraction, the knee free in a fit.
+        33 forms: linear in the fraction, the knee free in a fit.
 
     """
     found = []
-    bonus = -np.log(32.0)  # one of so many forms
-    for restarts, sharp, knee in product((True, False), (False, True), _KNEES):
-        unit = simulated.SensorHysteresis(1.0, knee=knee, restarts=restarts, sharp=sharp)
+    kinds = [(*kind, False) for kind in product((True, False), (False, True), _KNEES)]
+    for restarts, sharp, knee, of_range in (*kinds, (True, False, _USUAL_KNEE, True)):
+        unit = simulated.SensorHysteresis(
+            1.0, knee=knee, restarts=restarts, sharp=sharp, of_range=of_range
+        )
         lag = _at_rows(observation, unit.lag)
-        for axes in _TOGETHER if knee == _USUAL_KNEE else _TOGETHER[:1]:
+        for axes in _TOGETHER if knee == _USUAL_KNEE and not of_range else _TOGETHER[:1]:
             own = list(simulated.AXES[axes])
-            column = -np.sum(zero[:, own] * lag[:, own], axis=1, keepdims=True)
+            columns = -np.sum(zero[:, own] * lag[:, own], axis=1, keepdims=True)
+            if of_range:
+                before = _before_bag(unit, observation, zero)
+                columns = np.hstack([columns, before.toarray()])
             effect = replace(unit, fraction=0.0, axes=axes)
             label = f"{axes} {knee:g}{' sharp' * sharp}{'' if restarts else ' kept'}"
+            label += " of its range" * of_range
             typical, probe = np.array([0.02, 0.5 * knee]), np.array([2e-3, 0.05 * knee])
-            fitted = replace(plain_form(effect, label), typical=typical, probe=probe, bonus=bonus)
-            one = replace(linear_form(effect, label, column, typical[:1]), bonus=bonus)
+            fitted = replace(
+                plain_form(effect, label), typical=typical, probe=probe, bonus=_ONE_OF_MANY
+            )
+            one = linear_form(effect, label, columns, np.full(columns.shape[1], typical[0]))
+            one = replace(one, bonus=_ONE_OF_MANY)
             # A healthy sensor's is that of forces and of torques, and turns neither soon nor late.
             usual = restarts and not sharp and knee == _USUAL_KNEE and axes != "all"
-            found.append(freed(replace(one, wider=not usual), fitted))
+            found.append(freed(replace(one, wider=not usual), fitted, 1))
     return found
+
+
+def _before_bag(
+    effect: simulated.SensorHysteresis, observation: Observation, zero: Array
+) -> csc_array:
+    """Return what lags at the start of a bag's stretch may add to the rows while it lasts.
+
+    A bag begins after moves that weren't recorded, and so does each stretch after a pause. The
+    simulator's lags begin at rest there; others are as large as their ends at most, and go as the
+    load changes (`SensorHysteresis.kept`).
+    """
+    rows, own = observation.rows, list(simulated.AXES[effect.axes])
+    columns = []
+    for name, view in observation.views.items():
+        scene, here = view.scene, rows.bag == BAGS.index(name)
+        load = np.where(scene.touched[:, None], scene.reading, observation.nominal_reading(name))
+        starts = np.concatenate([[0], 1 + np.flatnonzero(np.diff(scene.wrench_s) > GAP_S)])
+        for part in np.split(np.arange(len(load)), starts[1:]):
+            if not len(part):
+                continue
+            during = here & (rows.bag_s >= scene.wrench_s[part[0]])
+            during &= rows.bag_s <= scene.wrench_s[part[-1]]
+            kept = effect.kept(load[part][:, own])
+            there = Between(rows.bag_s[during], scene.wrench_s[part]).of(kept)
+            columns += [
+                _sparse(np.flatnonzero(during), -zero[during, axis] * lag, len(rows))
+                for axis, lag in zip(own, there.T, strict=True)
+            ]
+    return hstack(columns, format="csc")
+
+
+def _sparse(where: np.ndarray, values: Array, count: int) -> csc_array:
+    return csc_array((values, (where, np.zeros(len(where), dtype=int))), shape=(count, 1))
 
 
 SENSOR_HYSTERESIS = DiagnosedEffect(
@@ -269,6 +315,7 @@ SENSOR_HYSTERESIS = DiagnosedEffect(
     known="rough",
     by_second=True,
     remembers=True,
+    before_bag=_before_bag,
     mujoco="the reading lags the load, and keeps fraction of the largest when it is gone",
     gazebo="no such thing: the same lag",
 )

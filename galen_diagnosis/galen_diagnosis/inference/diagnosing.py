@@ -386,12 +386,9 @@ def _sets(explored: Explored, chances: Probabilities) -> list[tuple[float, froze
 
 def _fitted(explored: Explored, names: frozenset[str]) -> Hypothesis | None:
     """Return the likeliest fit of a set of effects that are beyond their limits."""
-    fits = [
-        one
-        for one in explored.found.hypotheses
-        if one.parts and explored.beyond(one.names) == names
-    ]
-    return max(fits, key=lambda one: one.log_bayes, default=None)
+    likeliest_first = explored.found.hypotheses
+    fits = (one for one in likeliest_first if one.parts and explored.beyond(one.names) == names)
+    return next(fits, None)
 
 
 def fit_of_causes(explored: Explored, settings: Settings) -> Hypothesis:
@@ -461,9 +458,9 @@ def _in_budget(explored: Explored, verdict: Verdict, best: Hypothesis | None) ->
     if verdict in ("identified", "ambiguous") and best is not None:
         return best
     within = {names for names in explored.within if not explored.beyond(names)}
-    fits = [one for one in explored.found.hypotheses if frozenset(one.names) in within]
+    fits = (one for one in explored.found.hypotheses if frozenset(one.names) in within)
     none = explored.found.none
-    return max(fits, key=lambda one: one.log_bayes, default=none) if verdict == NONE else none
+    return next(fits, none) if verdict == NONE else none
 
 
 def _verdict(explored: Explored, chances: Probabilities) -> tuple[Verdict, Hypothesis | None]:

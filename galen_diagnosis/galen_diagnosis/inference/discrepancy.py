@@ -28,6 +28,7 @@ from dataclasses import dataclass
 import numpy as np
 from galen_model.arrays import Array
 from galen_model.estimation.evidence import Background
+from galen_sim_driver.effects.effect import Effect
 from scipy.linalg import cholesky, solve_triangular
 from scipy.sparse import csc_array, hstack
 
@@ -247,7 +248,7 @@ class Discrepancies:
             off.append(_columns(record.kappa * alone, self._parts(record)))
             if record.between_knots is not None:
                 rough.append(record.between_knots(one, rows, knots))
-        on_the_way = self._on_the_way(hypothesis.names, each)
+        on_the_way = self._on_the_way(hypothesis.names, hypothesis.effects, each)
         return hstack(off, format="csc"), on_the_way, hstack(rough, format="csc")
 
     def all_of(self, hypothesis: Hypothesis) -> csc_array:
@@ -275,17 +276,26 @@ class Discrepancies:
         """
         pairs = zip(parts, values, strict=True)
         remembering = [pair for pair in pairs if record_of(pair[0].effect).remembers]
-        each = [self._observation.change([part.at(own)]) for part, own in remembering]
-        return self._on_the_way([part.effect for part, _ in remembering], each)
+        effects = [part.at(own) for part, own in remembering]
+        each = [self._observation.change([effect]) for effect in effects]
+        return self._on_the_way([part.effect for part, _ in remembering], effects, each)
 
-    def _on_the_way(self, names: Sequence[str], each: Sequence[Array]) -> csc_array:
-        """Return displacements of the tip until it was loaded, where an effect remembers them."""
-        remembered = [
-            self._until_loaded(alone)
-            for name, alone in zip(names, each, strict=True)
-            if record_of(name).remembers
-        ]
-        return hstack([self._nothing, *remembered], format="csc")
+    def _on_the_way(
+        self, names: Sequence[str], effects: Sequence[Effect], each: Sequence[Array]
+    ) -> csc_array:
+        """Return what effects that remember may keep of the way to a place.
+
+        Displacements of the tip until it was loaded, and what is kept from before a bag.
+        """
+        remembered = [self._nothing]
+        for name, effect, alone in zip(names, effects, each, strict=True):
+            record = record_of(name)
+            if record.remembers:
+                remembered.append(self._until_loaded(alone))
+            if record.before_bag is not None:
+                zero = self._unknowns.columns[:, :6]
+                remembered.append(record.before_bag(effect, self._observation, zero))
+        return hstack(remembered, format="csc")
 
     def weigh(self, behind: Background, one: Hypothesis, none_cost: float) -> Weighed:
         """Weigh a hypothesis with what its models may be off beside it.

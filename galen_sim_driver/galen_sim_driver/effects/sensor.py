@@ -321,7 +321,7 @@ class SensorHysteresis(Effect):
     fitted = (Fitted("signed_fraction", "", 0.02, -0.5, 0.5), Fitted("knee", "", 0.1, 0.02, 1.0))
     order = 2
     limit_parts = ("",)
-    beyond_contract = ("side", "knee", "axes", "restarts", "sharp")
+    beyond_contract = ("side", "knee", "axes", "restarts", "sharp", "of_range")
 
     fraction: float = param(0.0, "what is left of the largest load when it is gone", 0.0, 0.5)
     side: float = param(
@@ -333,6 +333,10 @@ class SensorHysteresis(Effect):
         True, "whether what is left is gone after a second without readings, as in a bag"
     )
     sharp: bool = param(False, "whether the lag goes straight to its end; the knee is 0.5 at most")
+    of_range: bool = param(
+        False,
+        "whether the largest load is the sensor's (10 N, 1 Nm), as in the driver, and not a bag's",
+    )
 
     _memory: ClassVar[_Lagging | None] = None
 
@@ -428,11 +432,33 @@ class SensorHysteresis(Effect):
         for rows in np.split(np.arange(len(wrench)), np.flatnonzero(paused) + 1):
             if len(rows):
                 loads = wrench[rows][:, axes] - wrench[rows[0], axes]
-                largest, rest = np.abs(loads).max(axis=0), np.zeros(len(axes))
-                slide = partial(self._slide, self.knee * np.where(largest > 0.0, largest, 1.0))
-                states = along_turns(loads, GATE * largest, slide, rest, rest)
-                out[np.ix_(rows, axes)] = largest * states
+                out[np.ix_(rows, axes)] = self._from(0.0, loads)
         return self._size * out
+
+    def kept(self, load: Array) -> Array:
+        """Return what is left of a lag that was at its end before a stretch.
+
+        Args:
+            load: of the stretch, (n, k), N and N.m, in the order of time, in its axes.
+
+        Returns:
+            Half of how far lags (n, k) are apart that begin at one end and at the other, N and N.m.
+
+        """
+        loads = load - load[0]
+        return 0.5 * self._size * (self._from(1.0, loads) - self._from(-1.0, loads))
+
+    def _from(self, state: float, loads: Array) -> Array:
+        """Return lags (n, k) of a size of 1, of loads since a state (-1 ... 1)."""
+        largest, still = self._largest(loads), np.zeros(loads.shape[1])
+        slide = partial(self._slide, self.knee * np.where(largest > 0.0, largest, 1.0))
+        gate = GATE * np.abs(loads).max(axis=0)
+        return largest * along_turns(loads, gate, slide, still, still + state)
+
+    def _largest(self, loads: Array) -> Array:
+        if self.of_range:
+            return _TYPICAL_LARGEST[list(AXES[self.axes])]
+        return np.asarray(np.abs(loads).max(axis=0))
 
     def _next(self, memory: _Lagging, wrench: Array) -> Array:
         change = 0.0 * wrench if memory.last is None else wrench - memory.last
