@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from galen_diagnosis.answer.answer import Interval
 from galen_diagnosis.effects.candidates import plain_form
-from galen_diagnosis.effects.forms import Forms, healthy_background
+from galen_diagnosis.effects.forms import Forms, healthy_background, unknown_columns
 from galen_diagnosis.effects.registry import record_of
 from galen_diagnosis.effects.sensor import lagging_candidates, nonlinear_candidates
 from galen_diagnosis.inference.budget import beyond_chance, limits_of
 from galen_diagnosis.inference.refine import nothing, refine
-from galen_diagnosis.inference.search import _begun
+from galen_diagnosis.inference.search import _begun, search
 from galen_diagnosis.observation.observation import Observation, Unknowns
 from galen_diagnosis.observation.recording import read_recording
 from galen_diagnosis.observation.specification import (
@@ -44,15 +44,18 @@ def healthy(healthy_sweep):
     return Observation(healthy_sweep)
 
 
-def with_lag(observation, effect):
-    """The recording as a sensor with this hysteresis would read it."""
+def with_lag(observation, effect, kept=0.0):
+    """The recording as a sensor with this hysteresis, and what it has kept, would read it."""
     recording = observation.recording
-    bag, view = recording.bags["sweep"], observation.views["sweep"]
-    thin = observation.nominal_reading("sweep")[view.shows]
-    at_s = view.scene.wrench_s[view.shows]
-    load = np.stack([np.interp(bag.wrench_s, at_s, axis) for axis in thin.T], axis=1)
-    lag = effect.lag(Instants("sweep", bag.wrench_s, bag.wrench_s), load)
+    bag = recording.bags["sweep"]
+    load = _load(observation, bag.wrench_s)
+    lag = effect.lag(Instants("sweep", bag.wrench_s, bag.wrench_s), load) + kept
     return replace(recording, bags={"sweep": replace(bag, wrenches=bag.wrenches - lag)})
+
+
+def _load(observation, at_s):
+    known_s, thin = observation.views["sweep"].scene.wrench_s, observation.nominal_reading("sweep")
+    return np.stack([np.interp(at_s, known_s, axis) for axis in thin.T], axis=1)
 
 
 def test_columns_of_the_sensor_are_what_the_simulator_does(healthy):
@@ -83,6 +86,35 @@ def test_a_sensor_bends_with_its_whole_load_or_with_what_it_reads(whole, healthy
     judged = {c.label: e.log_bayes for c, e in forms.judged(observation.nominal, forms.behind)}
     right, wrong = ("fx even", "fx even of its load")[:: -1 if whole else 1]
     assert judged[right] > judged[wrong] + 20.0
+
+
+@pytest.mark.parametrize("sharp", [False, True])
+@pytest.mark.parametrize("of_range", [False, True])
+def test_what_a_lag_keeps_from_before_a_bag_goes_and_is_among_its_columns(sharp, of_range, healthy):
+    effect = SensorHysteresis(0.01, knee=0.3, sharp=sharp, of_range=of_range)
+    kept = _kept(healthy, effect)
+    assert np.all(np.abs(kept) <= np.abs(kept[0]) + 1e-12)
+    if not of_range:
+        assert np.abs(kept[-1]).max() < 0.05 * np.abs(kept[0]).max(), "a sweep wipes it out"
+    lagging = Observation(with_lag(healthy, replace(effect, fraction=0.0), kept))
+    columns = record_of(effect.name).before_bag(effect, healthy, unknown_columns(healthy)[:, :6])
+    told = healthy.nominal - lagging.nominal
+    assert columns.shape[1] == 6
+    assert np.linalg.norm(told + columns.sum(axis=1)) < 0.1 * np.linalg.norm(told)
+
+
+def test_a_lag_that_was_at_its_end_before_the_bag_is_found_alone(healthy):
+    """Where moves that weren't recorded have left it, which was a drift beside it."""
+    effect = SensorHysteresis(0.01, knee=0.2, of_range=True)
+    observation = Observation(with_lag(healthy, effect, _kept(healthy, effect)))
+    found = search(observation).weighed[0]
+    assert found.names == (effect.name,)
+    assert found.hypothesis.effects[0].fraction == pytest.approx(effect.fraction, rel=0.1)
+
+
+def _kept(observation, effect):
+    at_s = observation.recording.bags["sweep"].wrench_s
+    return effect.kept(_load(observation, at_s))
 
 
 @pytest.mark.slow

@@ -200,9 +200,9 @@ def nonlinear_candidates(observation: Observation, zero: Array) -> list[Candidat
             square = replace(effect, coefficient=1.0).too_much(reading[:, axis])
             label = f"{name} {'odd' if signed else 'even'}{' of its load' if tare else ''}"
             columns = (zero[:, axis] * square)[:, None]
-            found.append(
-                replace(plain_form(effect, label), typical=size, probe=0.1 * size, columns=columns)
-            )
+            one = replace(plain_form(effect, label), typical=size, probe=0.1 * size)
+            # A healthy sensor's is of what it reads.
+            found.append(replace(one, columns=columns, wider=tare != 0.0))
     return found
 
 
