@@ -156,8 +156,8 @@ class DiagnosedEffect:
     remembers: bool = False
     """Of what was before: it lags within a second, and remembers of the way there."""
     before_bag: Callable[[Any, Observation, Array], csc_array] | None = None
-    """Columns, with unit priors, of what it keeps in a bag from before, which wasn't recorded; by
-    those of the sensor's zero (N, 6)."""
+    """Of one that remembers: columns, with unit priors, of what it keeps in a bag from before,
+    which wasn't recorded; by those of the sensor's zero (N, 6)."""
     swings: bool = False
     """What it moves oscillates, which its model leaves out."""
     between_knots: Callable[[Any, ResidualRows, Array], csc_array] | None = None

@@ -140,6 +140,12 @@ def _reading(_: Instants, reading: Array) -> Array:
     return reading
 
 
+def _load(observation: Observation, name: str) -> Array:
+    """Return a bag's reading (n, 6) at its wrenches' groups; untouched the predicted one."""
+    scene = observation.views[name].scene
+    return np.where(scene.touched[:, None], scene.reading, observation.nominal_reading(name))
+
+
 def _at_rows(observation: Observation, of: Callable[[Instants, Array], Array] = _reading) -> Array:
     """Return at each row's time (N, 6) what `of` makes of a bag's reading (n, 6): itself.
 
@@ -149,9 +155,8 @@ def _at_rows(observation: Observation, of: Callable[[Instants, Array], Array] = 
     out = np.zeros((len(rows), 6))
     for name, view in observation.views.items():
         scene = view.scene
-        reading = np.where(scene.touched[:, None], scene.reading, Replay(scene).reading())
         here = rows.bag == BAGS.index(name)
-        made = of(scene.instants(scene.wrench_s), reading)
+        made = of(scene.instants(scene.wrench_s), _load(observation, name))
         out[here] = Between(rows.bag_s[here], scene.wrench_s).of(made)
     return out
 
@@ -195,7 +200,8 @@ def nonlinear_candidates(observation: Observation, zero: Array) -> list[Candidat
     for axis, name in enumerate(WRENCH_AXES):
         size = np.array([_BENT[axis]])
         heavy = abs(weight[axis]) > _LEAST_TARE * np.max(np.abs(reading[:, axis]), initial=0.0)
-        for signed, tare in product((False, True), (0.0, float(weight[axis]))[: 1 + heavy]):
+        tares = (0.0, float(weight[axis])) if heavy else (0.0,)
+        for signed, tare in product((False, True), tares):
             effect = simulated.SensorNonlinearity(axis=name, signed=signed, tare=tare)
             square = replace(effect, coefficient=1.0).too_much(reading[:, axis])
             label = f"{name} {'odd' if signed else 'even'}{' of its load' if tare else ''}"
@@ -223,6 +229,7 @@ SENSOR_NONLINEARITY = DiagnosedEffect(
 
 _KNEES, _USUAL_KNEE = (0.05, 0.08, 0.13, 0.2, 0.32, 0.5), 0.2
 _ONE_OF_MANY = -np.log(32.0)
+"""Log evidence that a form of hysteresis has for being one of so many."""
 _TOGETHER = ("all", "force", "torque")
 
 
@@ -282,7 +289,7 @@ def _before_bag(
     columns = []
     for name, view in observation.views.items():
         scene, here = view.scene, rows.bag == BAGS.index(name)
-        load = np.where(scene.touched[:, None], scene.reading, observation.nominal_reading(name))
+        load = _load(observation, name)
         starts = np.concatenate([[0], 1 + np.flatnonzero(np.diff(scene.wrench_s) > GAP_S)])
         for part in np.split(np.arange(len(load)), starts[1:]):
             if not len(part):

@@ -290,8 +290,9 @@ class Discrepancies:
         remembered = [self._nothing]
         for name, effect, alone in zip(names, effects, each, strict=True):
             record = record_of(name)
-            if record.remembers:
-                remembered.append(self._until_loaded(alone))
+            if not record.remembers:
+                continue
+            remembered.append(self._until_loaded(alone))
             if record.before_bag is not None:
                 zero = self._unknowns.columns[:, :6]
                 remembered.append(record.before_bag(effect, self._observation, zero))
