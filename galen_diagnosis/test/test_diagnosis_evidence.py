@@ -251,6 +251,7 @@ def test_an_effect_that_explains_less_than_what_the_others_models_miss_is_no_cau
     assert posterior(forgiven(of, 60.0), Settings()).effects["inertial_load"] > 0.9
     found = forgiven(of, 500.0)
     assert [one.energy for one in found] == [10.0, 10.0, 2e5 - 500.0, 2e5]
+    assert forgiven([of[0], Scored(alone, 3.0, 51.0)], 0.0)[1].energy == 3.0, "none gets worse"
     chances = posterior(found, Settings()).effects
     assert chances["inertial_load"] < 0.05
     assert chances["cable_drag"] > 0.99

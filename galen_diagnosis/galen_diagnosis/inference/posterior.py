@@ -163,7 +163,9 @@ def forgiven(of: Sequence[Scored], missed: float) -> list[Scored]:
     first = of[0]
     smaller = [bool(one.names) and set(one.names) < set(first.names) for one in of]
     return [
-        replace(one, energy=max(one.energy - missed, first.energy)) if within else one
+        replace(one, energy=min(one.energy, max(one.energy - missed, first.energy)))
+        if within
+        else one
         for one, within in zip(of, smaller, strict=True)
     ]
 
